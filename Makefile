@@ -1,0 +1,38 @@
+# Two commands: `make test` (everything CI checks) and `make bench` (the main job).
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+OUT    ?= out/bench
+
+# Real captures are used where they exist; without them the suites run on simulated scenes.
+ifneq ($(wildcard ../shared/data/real),)
+export TOFTOOLS_DATA ?= $(abspath ../shared/data/real)
+endif
+
+.PHONY: test bench lint types pytest install clean
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "toftools needs Python 3.11 or newer; set PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+lint: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: install
+	$(BIN)/mypy
+
+pytest: install
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test: lint types pytest
+
+bench: install
+	$(BIN)/toftools bench full --out $(OUT)
+
+clean:
+	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,281 @@
+"""Names to methods: the one thin table behind the command line, the benchmark and the law tests.
+
+An entry is a string ``module:function`` that is imported when it is built, so a missing optional
+package fails only for its own method, and a user's ``mypkg.mine:make`` needs no entry at all.
+"""
+
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Where a method lives and which parameters the benchmark sweeps.
+
+    Parameters
+    ----------
+    target : str
+        ``module:function`` of a Factory.
+    grid : mapping of str to tuple
+        Values to sweep per parameter; empty for a method without a dial.
+    params : mapping
+        Parameters fixed by the caller (``name:key=val``).
+    name : str
+        Registry name, or the target itself for a user's method.
+    unit : str
+        Unit of a metric; empty for a plain number.
+    better : str
+        Of a metric: ``lower``, ``higher`` or ``zero``.
+    """
+
+    target: str
+    grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    params: Mapping[str, Any] = field(default_factory=dict)
+    name: str = ""
+    unit: str = ""
+    better: str = ""
+
+    def load(self) -> Callable[..., Any]:
+        """Import the factory.
+
+        Returns
+        -------
+        callable
+            ``make(context, *, params)``.
+
+        Raises
+        ------
+        ValueError
+            If the module or the function does not exist.
+        """
+        module, _, function = self.target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
+        except (ImportError, AttributeError) as error:
+            msg = f"cannot load method {self.target!r}: {error}"
+            raise ValueError(msg) from error
+
+    def build(self, context: object, **params: object) -> Callable[[Any], Any]:
+        """Make the method for a context.
+
+        Parameters
+        ----------
+        context : object
+            Sensor, Scene, captures or truth, by kind.
+        **params
+            Parameters on top of those in the spec.
+
+        Returns
+        -------
+        callable
+            ``run(input) -> output``.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is unknown to the method.
+        """
+        make = self.load()
+        merged = {**self.params, **params}
+        known = parameters_of(make)
+        for key in merged:
+            if key not in known:
+                wanted = ", ".join(known) or "none"
+                msg = f"{self.name or self.target} has no parameter {key!r}; it takes: {wanted}"
+                raise ValueError(msg)
+        return make(context, **merged)  # type: ignore[no-any-return]
+
+
+def parameters_of(make: Callable[..., Any]) -> dict[str, Any]:
+    """Keyword parameters of a factory with their defaults.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(context, *, params)``.
+
+    Returns
+    -------
+    dict
+        Name to default value.
+    """
+    return {
+        name: parameter.default
+        for name, parameter in inspect.signature(make).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
+
+
+def parse_value(text: str) -> Any:  # noqa: ANN401 - the type is what the text says
+    """Value of one ``key=val``: int, float, bool, ``a+b`` tuple, or the string itself.
+
+    Parameters
+    ----------
+    text : str
+        What stands right of the equals sign.
+
+    Returns
+    -------
+    int, float, bool, tuple or str
+        The value.
+
+    Examples
+    --------
+    >>> parse_value("20e6+50e6"), parse_value("3"), parse_value("true"), parse_value("1e+6")
+    ((20000000.0, 50000000.0), 3, True, 1000000.0)
+    """
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            continue
+    if "+" in text:
+        return tuple(parse_value(part) for part in text.split("+"))
+    return text
+
+
+def parse_name(text: str) -> tuple[str, dict[str, Any]]:
+    """Split ``name:key=val,...`` into the name and its parameters.
+
+    Parameters
+    ----------
+    text : str
+        A scene, sensor or method as typed.
+
+    Returns
+    -------
+    tuple of str and dict
+        Name and parameters. A name may itself hold one colon (``mypkg.mine:make``).
+
+    Raises
+    ------
+    ValueError
+        If a parameter has no equals sign.
+
+    Examples
+    --------
+    >>> parse_name("wall:range=2,tilt=30")
+    ('wall', {'range': 2, 'tilt': 30})
+    >>> parse_name("mypkg.mine:make:k=1")
+    ('mypkg.mine:make', {'k': 1})
+    """
+    head, _, tail = text.strip().partition(":")
+    if "." in head and tail:
+        function, _, tail = tail.partition(":")
+        head = f"{head}:{function}"
+    params: dict[str, Any] = {}
+    for item in filter(None, tail.split(",")):
+        key, equals, value = item.partition("=")
+        if not equals or not key.strip().isidentifier():
+            msg = f"got {item!r} in {text!r}; wanted key=value pairs separated by commas"
+            raise ValueError(msg)
+        params[key.strip()] = parse_value(value.strip())
+    return head, params
+
+
+def find(table: Mapping[str, Spec], text: str) -> Spec:
+    """The spec behind ``name[:key=val,...]`` or a user's ``module.path:function[:key=val,...]``.
+
+    Parameters
+    ----------
+    table : mapping
+        One of the registries of this module.
+    text : str
+        Name as typed.
+
+    Returns
+    -------
+    Spec
+        The entry, with the typed parameters fixed.
+
+    Raises
+    ------
+    ValueError
+        If the name is neither known nor of the form ``module.path:function``.
+    """
+    name, params = parse_name(text)
+    if name in table:
+        entry = table[name]
+        return replace(entry, params={**entry.params, **params})
+    if ":" in name:
+        return Spec(name, {}, params, name)
+    msg = f"unknown name {name!r}; known: {', '.join(table)}; or give mypkg.mine:make"
+    raise ValueError(msg)
+
+
+def _table(**specs: Spec) -> Mapping[str, Spec]:
+    return MappingProxyType({name: replace(spec, name=name) for name, spec in specs.items()})
+
+
+def _percentile(q: float) -> Spec:
+    return Spec("toftools.metrics.error:percentile_m", params={"q": q}, unit="m", better="lower")
+
+
+def _under(limit_m: float) -> Spec:
+    params = {"limit_m": limit_m}
+    return Spec("toftools.metrics.error:share_under", params=params, better="higher")
+
+
+def _statistics(distribution: str) -> dict[str, Spec]:
+    """The three comparisons of thesis 7.B for one distribution."""
+    compare = {"chi2": "lower", "js": "lower", "pearson": "higher"}
+    return {
+        f"{distribution}_{name}": Spec(
+            f"toftools.metrics.statistics:{name}",
+            params={"distribution": distribution},
+            better=better,
+        )
+        for name, better in compare.items()
+    }
+
+
+SIMULATORS = _table(
+    analytic=Spec("toftools.sim.analytic:analytic"),
+)
+CALIBRATIONS = _table()
+CORRECTIONS = _table(
+    single=Spec("toftools.correct.single:single"),
+    crt=Spec("toftools.correct.crt:crt", grid={"max_range_m": (5.0, 10.0, 0.0)}),
+    residual_voting=Spec("toftools.correct.residual_voting:residual_voting"),
+    kde=Spec("toftools.correct.kde:kde", grid={"window_px": (3, 5, 7, 11)}),
+    sra=Spec("toftools.correct.sra:sra", grid={"grid_m": (0.01, 0.02, 0.04)}),
+    sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
+)
+METRICS = _table(
+    bias_m=Spec("toftools.metrics.error:bias_m", unit="m", better="zero"),
+    mae_m=Spec("toftools.metrics.error:mae_m", unit="m", better="lower"),
+    rmse_m=Spec("toftools.metrics.error:rmse_m", unit="m", better="lower"),
+    median_m=_percentile(50),
+    p25_m=_percentile(25),
+    p75_m=_percentile(75),
+    p95_m=_percentile(95),
+    under_1cm=_under(0.01),
+    under_2cm=_under(0.02),
+    under_5cm=_under(0.05),
+    r2=Spec("toftools.metrics.error:r2", better="higher"),
+    valid_share=Spec("toftools.metrics.error:valid_share", better="higher"),
+    wrap_share=Spec("toftools.metrics.error:wrap_share", better="lower"),
+    **_statistics("range"),
+    **_statistics("gradient_h"),
+    **_statistics("gradient_v"),
+    **_statistics("cooccurrence"),
+    **_statistics("haar_hv"),
+    **_statistics("haar_hd"),
+)
+READERS = _table(
+    su2018=Spec("toftools.io.readers.su2018:read"),
+    melexis_npy=Spec("toftools.io.readers.melexis_npy:read"),
+    azure_mkv=Spec("toftools.io.readers.azure_mkv:read"),
+    adi_bin=Spec("toftools.io.readers.adi_bin:read"),
+    ifm_o3r=Spec("toftools.io.readers.ifm_o3r:read"),
+    espros_h5=Spec("toftools.io.readers.espros_h5:read"),
+    depth_png=Spec("toftools.io.readers.depth_png:read"),
+    npz=Spec("toftools.io.readers.npz:read"),
+)
+"""Foreign formats; ``read(path, *, convention...)`` gives a Capture, ``sniff`` recognises one."""

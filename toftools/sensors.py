@@ -1,0 +1,211 @@
+"""Sensor presets by name, with the source of every figure.
+
+A preset gives optics, modulation and electronics of a camera that exists; electronics are rarely
+published, so read noise, full well, contrast and signal are round, assumed values, the same for
+all presets, and marked so in `SOURCES`. Override anything: ``deeptof:freqs=20e6+50e6,width=64``.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from toftools.camera import pinhole
+from toftools.phasor import SCHEMES
+from toftools.registry import parse_name
+from toftools.types import Camera, Modulation, Noise, Sensor
+
+ASSUMED_NOISE = Noise(read_e=20.0, full_well_e=150_000.0, contrast=0.8, signal_e=20_000.0)
+
+
+def _camera(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> Camera:
+    return Camera(width, height, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+
+
+def _kinect2() -> Sensor:
+    # Phase offsets per frequency in degrees; successive taps step by -120 degrees, so the sign
+    # that makes I_k = B + A cos(phi - step_k) is the negative of the printed offset.
+    offsets_deg = np.array(
+        [[150.94, 30.94, 270.94], [-83.12, -203.12, 36.88], [68.19, -51.81, 188.19]]
+    )
+    freqs = np.array([80.1675385e6, 16.05444453e6, 120.44403642e6])
+    camera = _camera(512, 424, 365.5, 365.5, 255.5, 211.5)
+    return Sensor(camera, Modulation(freqs, -np.radians(offsets_deg)), ASSUMED_NOISE)
+
+
+def _opt8241() -> Sensor:
+    camera = _camera(320, 240, 230.0, 230.0, 160.0, 120.0)
+    return Sensor(camera, Modulation(np.array([40e6, 70e6])), ASSUMED_NOISE)
+
+
+def _mlx75027() -> Sensor:
+    steps = SCHEMES["four_step_0_180_90_270"]
+    camera = pinhole(640, 480, hfov_deg=70)
+    return Sensor(camera, Modulation(np.array([60e6]), steps), ASSUMED_NOISE)
+
+
+def _adtf3175() -> Sensor:
+    # The 1024 x 1024 calibration block, halved to the 512 x 512 binned mode; pixel centres at
+    # integers make the binned centre (c + 0.5) / 2 - 0.5.
+    camera = _camera(512, 512, 252.51, 252.60, 259.90, 258.475)
+    return Sensor(camera, Modulation(np.array([198e6, 189e6, 54e6]), SCHEMES["three_step"]),
+                  ASSUMED_NOISE)  # fmt: skip
+
+
+def _pmd() -> Sensor:
+    camera = pinhole(240, 180, hfov_deg=56)
+    return Sensor(camera, Modulation(np.array([45.18e6, 37.65e6])), ASSUMED_NOISE)
+
+
+def _deeptof() -> Sensor:
+    camera = pinhole(256, 256, hfov_deg=70)
+    return Sensor(camera, Modulation(np.array([20e6])), ASSUMED_NOISE)
+
+
+def _longrange() -> Sensor:
+    camera = _camera(512, 424, 365.5, 365.5, 255.5, 211.5)
+    return Sensor(
+        camera,
+        Modulation(np.array([80e6, 16e6, 120e6]), SCHEMES["three_step"]),
+        ASSUMED_NOISE,
+    )
+
+
+PRESETS: Mapping[str, Callable[[], Sensor]] = MappingProxyType(
+    {
+        "kinect2": _kinect2,
+        "kinect2_nominal": _longrange,
+        "opt8241": _opt8241,
+        "mlx75027": _mlx75027,
+        "adtf3175": _adtf3175,
+        "pmd": _pmd,
+        "deeptof": _deeptof,
+    }
+)
+"""Preset name to the function that makes it."""
+
+SOURCES: Mapping[str, str] = MappingProxyType(
+    {
+        "kinect2": "frequencies and phase offsets: FLAT camera parameters as republished by RADU "
+        "(schellmi42/RADU); 512x424, 3 taps: libfreenect2; focal length: iai_kinect2 typical",
+        "kinect2_nominal": "nominal 80/16/120 MHz and steps 0/120/240 degrees of libfreenect2",
+        "opt8241": "320x240, 40+70 MHz, f = 230 px: Su et al., CVPR 2018 release (rough optics)",
+        "mlx75027": "640x480, 60 MHz, tap order 0/180/90/270: dartmouth-risc-lab/snapshot-lidar; "
+        "field of view assumed",
+        "adtf3175": "198/189/54 MHz and optics: ADI factory block CCB_1909-0240034, 512x512 mode; "
+        "tap scheme assumed",
+        "pmd": "240x180, 45.18 + 37.65 MHz, joint range 19.9 m: pmd Royale modes; field of view "
+        "assumed",
+        "deeptof": "256x256, 20 MHz: Marco et al., DeepToF, SIGGRAPH Asia 2017; field of view "
+        "assumed",
+    }
+)
+"""Where the figures of each preset come from."""
+
+
+def _freqs(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from text
+    old = sensor.modulation
+    freqs = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    same = freqs.size == old.n_freqs
+    steps = old.steps_rad if same else old.steps_rad[0] - old.steps_rad[0, 0]
+    return replace(sensor, modulation=Modulation(freqs, steps))
+
+
+def _steps(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from text
+    if isinstance(value, str):
+        if value not in SCHEMES:
+            msg = f"unknown tap scheme {value!r}; known: {', '.join(SCHEMES)}"
+            raise ValueError(msg)
+        steps = SCHEMES[value]
+    else:
+        steps = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    old = sensor.modulation
+    return replace(sensor, modulation=Modulation(old.freqs_hz, steps, old.harmonics))
+
+
+def resized(camera: Camera, width: int, height: int) -> Camera:
+    """The same field of view on another pixel grid.
+
+    Parameters
+    ----------
+    camera : Camera
+        Original camera.
+    width, height : int
+        New image size, px.
+
+    Returns
+    -------
+    Camera
+        Intrinsics scaled about the outer image corner (pixel centres at integers).
+    """
+    sx, sy = width / camera.width, height / camera.height
+    K = np.array(camera.K)
+    K[0, :2] *= sx
+    K[1, :2] *= sy
+    K[0, 2] = (camera.K[0, 2] + 0.5) * sx - 0.5
+    K[1, 2] = (camera.K[1, 2] + 0.5) * sy - 0.5
+    return Camera(width, height, K, camera.dist)
+
+
+NOISE_KEYS = ("read_e", "full_well_e", "dn_per_e", "contrast", "signal_e")
+CAMERA_KEYS = ("width", "height", "hfov_deg")
+
+
+def sensor(text: str) -> Sensor:
+    """Sensor from ``name:key=val,...``.
+
+    Parameters
+    ----------
+    text : str
+        Preset name and overrides: ``freqs`` (Hz, joined by +), ``steps`` (scheme name or rad),
+        ``waveform`` (``sine`` or ``square``), ``width``, ``height``, ``hfov_deg``, and the
+        fields of `Noise`.
+
+    Returns
+    -------
+    Sensor
+        The preset with the overrides.
+
+    Raises
+    ------
+    ValueError
+        If the preset or a key is unknown.
+
+    Examples
+    --------
+    >>> sensor("deeptof:freqs=20e6+50e6,width=64,height=64").modulation.freqs_hz.tolist()
+    [20000000.0, 50000000.0]
+    """
+    name, params = parse_name(text)
+    if name not in PRESETS:
+        msg = f"unknown sensor {name!r}; known: {', '.join(PRESETS)}"
+        raise ValueError(msg)
+    known = ("freqs", "steps", "waveform", *CAMERA_KEYS, *NOISE_KEYS)
+    unknown = [key for key in params if key not in known]
+    if unknown:
+        msg = f"unknown sensor key {unknown[0]!r}; known: {', '.join(known)}"
+        raise ValueError(msg)
+    made = replace(PRESETS[name](), name=name)
+    if "freqs" in params:
+        made = _freqs(made, params["freqs"])
+    if "steps" in params:
+        made = _steps(made, params["steps"])
+    if "waveform" in params:
+        from toftools.sim.waveform import with_waveform
+
+        made = with_waveform(made, params["waveform"])
+    made = _sized(made, {key: params[key] for key in CAMERA_KEYS if key in params})
+    noise = {key: params[key] for key in NOISE_KEYS if key in params}
+    return replace(made, noise=replace(made.noise, **noise)) if noise else made
+
+
+def _sized(sensor: Sensor, size: Mapping[str, Any]) -> Sensor:
+    camera = sensor.camera
+    width, height = int(size.get("width", camera.width)), int(size.get("height", camera.height))
+    if "hfov_deg" in size:
+        return replace(sensor, camera=pinhole(width, height, hfov_deg=float(size["hfov_deg"])))
+    if (width, height) == (camera.width, camera.height):
+        return sensor
+    return replace(sensor, camera=resized(camera, width, height))

@@ -1,0 +1,202 @@
+"""Phase, range and path length: the only file that knows c or 4 pi.
+
+Conventions (docs/conventions.md): range is radial and one-way, path length is the whole way
+light travels, phase grows with range and lies in [0, 2 pi).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+C_M_S = 299_792_458.0
+"""Speed of light in vacuum, m/s (exact by definition of the metre)."""
+
+TWO_PI = 2.0 * np.pi
+
+
+def range_to_phase(range_m: ArrayLike, freq_hz: ArrayLike) -> NDArray[np.float64]:
+    """Unwrapped phase of a return at a radial range, ``4 pi f range / c``.
+
+    Parameters
+    ----------
+    range_m : array_like
+        Radial range, m.
+    freq_hz : array_like
+        Modulation frequency, Hz; broadcasts against `range_m`.
+
+    Returns
+    -------
+    ndarray
+        Phase in rad, not wrapped.
+
+    Examples
+    --------
+    >>> round(float(range_to_phase(ambiguity_m(20e6), 20e6) / (2 * np.pi)), 12)
+    1.0
+    """
+    return np.asarray(4.0 * np.pi * np.asarray(freq_hz) * np.asarray(range_m) / C_M_S)
+
+
+def phase_to_range(phase_rad: ArrayLike, freq_hz: ArrayLike) -> NDArray[np.float64]:
+    """Radial range of a phase, ``c phase / (4 pi f)``: the inverse of `range_to_phase`.
+
+    Parameters
+    ----------
+    phase_rad : array_like
+        Phase, rad; unwrapped phases give unwrapped ranges.
+    freq_hz : array_like
+        Modulation frequency, Hz.
+
+    Returns
+    -------
+    ndarray
+        Radial range, m.
+
+    Examples
+    --------
+    >>> round(float(phase_to_range(np.pi, 60e6)), 6)
+    1.249135
+    """
+    return np.asarray(C_M_S * np.asarray(phase_rad) / (4.0 * np.pi * np.asarray(freq_hz)))
+
+
+def path_to_phase(path_m: ArrayLike, freq_hz: ArrayLike) -> NDArray[np.float64]:
+    """Phase after a whole optical path, ``2 pi f path / c`` (a direct return has path 2 range).
+
+    Parameters
+    ----------
+    path_m : array_like
+        Optical path length from emitter to camera, m.
+    freq_hz : array_like
+        Modulation frequency, Hz.
+
+    Returns
+    -------
+    ndarray
+        Phase in rad, not wrapped.
+
+    Examples
+    --------
+    >>> bool(path_to_phase(4.0, 20e6) == range_to_phase(2.0, 20e6))
+    True
+    """
+    return range_to_phase(np.asarray(path_m) / 2.0, freq_hz)
+
+
+def ambiguity_m(freq_hz: ArrayLike) -> NDArray[np.float64]:
+    """Range at which the phase of one frequency has made a full turn, ``c / (2 f)``.
+
+    Parameters
+    ----------
+    freq_hz : array_like
+        Modulation frequency, Hz.
+
+    Returns
+    -------
+    ndarray
+        Unambiguous range, m.
+
+    Examples
+    --------
+    >>> round(float(ambiguity_m(60e6)), 3)
+    2.498
+    """
+    return np.asarray(C_M_S / (2.0 * np.asarray(freq_hz, dtype=np.float64)))
+
+
+def joint_ambiguity_m(freqs_hz: ArrayLike, *, tol_cycles: float = 0.02) -> float:
+    """Range at which the phases of all frequencies come back together.
+
+    For commensurate frequencies this is ``c / (2 gcd)``; real cameras run slightly off their
+    nominal frequencies, so a return within `tol_cycles` of a full turn counts as one.
+
+    Parameters
+    ----------
+    freqs_hz : array_like, (F,)
+        Modulation frequencies, Hz.
+    tol_cycles : float
+        Phase difference still taken as a repetition, in turns.
+
+    Returns
+    -------
+    float
+        Joint unambiguous range, m.
+
+    Raises
+    ------
+    ValueError
+        If the phases do not come together within 10 000 turns of the highest frequency.
+
+    Examples
+    --------
+    >>> round(joint_ambiguity_m([40e6, 70e6]), 3)
+    14.99
+    >>> round(joint_ambiguity_m([80.1675385e6, 16.05444453e6, 120.44403642e6]), 2)
+    18.67
+    """
+    freqs = np.atleast_1d(np.asarray(freqs_hz, dtype=np.float64))
+    highest = float(freqs.max())
+    turns = np.arange(1, 10_001)
+    cycles = turns[:, None] * freqs / highest  # (N, F) turns of each frequency
+    together = (np.abs(cycles - np.round(cycles)) < tol_cycles).all(axis=1) & (
+        np.round(cycles) >= 1
+    ).all(axis=1)
+    if not together.any():
+        msg = (
+            f"got frequencies {freqs.tolist()} Hz whose phases never meet within {tol_cycles} "
+            "turns; wanted commensurate frequencies; pass a maximum range instead"
+        )
+        raise ValueError(msg)
+    return float(ambiguity_m(highest) * turns[int(np.argmax(together))])
+
+
+def wrap_phase(phase_rad: ArrayLike) -> NDArray[np.float64]:
+    """Phase brought into [0, 2 pi).
+
+    Parameters
+    ----------
+    phase_rad : array_like
+        Any phase, rad.
+
+    Returns
+    -------
+    ndarray
+        The same angle in [0, 2 pi).
+
+    Examples
+    --------
+    >>> round(float(wrap_phase(-0.5)), 4)
+    5.7832
+    """
+    wrapped = np.mod(np.asarray(phase_rad, dtype=np.float64), TWO_PI)
+    # np.mod of a tiny negative number rounds up to 2 pi itself, which is not in the interval.
+    return np.asarray(np.where(wrapped >= TWO_PI, 0.0, wrapped))
+
+
+def check_freqs(freqs_hz: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frequencies as a float64 vector, refused if they are not plausible modulation in Hz.
+
+    Parameters
+    ----------
+    freqs_hz : sequence of float, (F,)
+        Modulation frequencies, Hz.
+
+    Returns
+    -------
+    ndarray, (F,)
+        The same frequencies, float64.
+
+    Raises
+    ------
+    ValueError
+        If empty, not finite, or outside 1 kHz .. 100 GHz (a value in MHz, typically).
+    """
+    freqs = np.atleast_1d(np.asarray(freqs_hz, dtype=np.float64))
+    if freqs.ndim != 1 or freqs.size == 0:
+        msg = f"freqs_hz must be a vector with at least one frequency, got shape {freqs.shape}"
+        raise ValueError(msg)
+    if not (np.isfinite(freqs).all() and (freqs >= 1e3).all() and (freqs <= 1e11).all()):
+        msg = f"freqs_hz must lie in 1e3..1e11 Hz, got {freqs.tolist()}; give Hz, not MHz"
+        raise ValueError(msg)
+    return freqs
