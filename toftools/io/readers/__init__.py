@@ -1,0 +1,1 @@
+"""Foreign formats, one file each: ``sniff(path, head)`` and ``read(path, *, convention)``."""
