@@ -12,8 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toftools.types import F32, F64, Noise, Phasors, Sensor, Taps
-from toftools.units import phase_to_range, range_to_phase, wrap_phase
+from toftools.types import F32, F64, Capture, DepthMap, Noise, Phasors, Sensor, Taps
+from toftools.units import ambiguity_m, phase_to_range, range_to_phase, wrap_phase
 
 SCHEMES: Mapping[str, F64] = MappingProxyType(
     {
