@@ -1,0 +1,1 @@
+"""Pictures: depth and error maps, speed against accuracy, point clouds."""
