@@ -127,6 +127,66 @@ def phasor_sigma(taps: Taps, weights: NDArray[np.complex128], noise: Noise) -> F
     return np.asarray(gain * np.sqrt(variance_e), dtype=np.float32)
 
 
+def phasors_of_depth(depth: DepthMap, freq_hz: float) -> Phasors:
+    """One-frequency phasors of a depth-only camera, so that it enters like any other.
+
+    Parameters
+    ----------
+    depth : DepthMap
+        Range with or without amplitude (1 is taken where there is none).
+    freq_hz : float
+        Frequency whose ambiguity range holds the ranges, Hz.
+
+    Returns
+    -------
+    Phasors
+        (1, H, W); pixels without a range are invalid.
+    """
+    known = np.isfinite(depth.range_m)
+    amplitude = np.ones(known.shape) if depth.amplitude is None else depth.amplitude
+    angle = range_to_phase(np.where(known, depth.range_m, 0.0), freq_hz)
+    values = np.where(known, amplitude, 0) * np.exp(1j * angle)
+    return Phasors(np.asarray(values[None], dtype=np.complex64), valid=known)
+
+
+def phasors_of(capture: Capture) -> Phasors:
+    """Phasors of a capture, whatever it holds: its own, its taps' or its depth's.
+
+    Parameters
+    ----------
+    capture : Capture
+        Any capture.
+
+    Returns
+    -------
+    Phasors
+        (F, H, W).
+
+    Raises
+    ------
+    ValueError
+        If the capture holds only a depth whose ranges its sensor's frequency cannot tell apart.
+    """
+    if capture.phasors is not None:
+        return capture.phasors
+    if capture.taps is not None:
+        return demodulate(capture.taps, capture.sensor)
+    assert capture.depth is not None
+    freq_hz = float(capture.sensor.modulation.freqs_hz[0])
+    known = np.isfinite(capture.depth.range_m)
+    if not known.any():
+        msg = "got a capture with amplitude only; wanted taps, phasors or a range to correct"
+        raise ValueError(msg)
+    farthest, limit = float(capture.depth.range_m[known].max()), float(ambiguity_m(freq_hz))
+    if farthest >= limit:
+        msg = (
+            f"got a depth-only capture out to {farthest:.2f} m whose sensor wraps at "
+            f"{limit:.2f} m; convert it with a lower frequency"
+        )
+        raise ValueError(msg)
+    return phasors_of_depth(capture.depth, freq_hz)
+
+
 def modulate(phasors: NDArray[np.complexfloating], offset: ArrayLike, steps_rad: ArrayLike) -> F64:
     """Taps of given phasors, the inverse of demodulation: ``I_k = B + Re(z exp(-j step_k))``.
 

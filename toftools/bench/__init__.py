@@ -1,0 +1,1 @@
+"""The benchmark: stages that meet only in files (plan, run, score, report)."""

@@ -1,0 +1,198 @@
+"""Last stage: ``DIR/results.jsonl`` to one self-contained ``DIR/report.html`` and its figures."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from toftools.bench.pictures import best_per_method, capture_pictures
+from toftools.bench.score import read_rows
+from toftools.bench.table import Line, cells, groups, headings, label_of, number, summarise
+from toftools.io.atomic import atomic_path
+from toftools.registry import METRICS
+from toftools.viz.figures import Coverage, Curve, coverage_svg, pareto_svg
+
+REGIONS = ("all", "edges", "corners", "dark", "far")
+_TEMPLATE = Path(__file__).with_name("report.html.j2")
+
+
+def report(out: Path) -> Path:
+    """Write the report of a scored benchmark folder.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with ``results.jsonl``.
+
+    Returns
+    -------
+    Path
+        ``report.html``.
+
+    Raises
+    ------
+    ValueError
+        If the folder was not scored.
+    """
+    rows = read_rows(out)
+    figures = out / "figures"
+    figures.mkdir(exist_ok=True)
+    sections = [_group(out, name, mine) for name, mine in groups(rows).items()]
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
+        _TEMPLATE.read_text(encoding="utf-8")
+    )
+    timed = [row for row in rows if row.get("machine")]
+    page = template.render(
+        suite=rows[0]["suite"] if rows else "",
+        sections=sections,
+        counts=_counts(rows),
+        machine=timed[0]["machine"] if timed else {},
+        versions=timed[0]["versions"] if timed else {},
+        problems=[row for row in rows if row["status"] != "ok"],
+        label_of=label_of,
+    )
+    target = out / "report.html"
+    with atomic_path(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return target
+
+
+def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    return {
+        "captures": len({row["capture_id"] for row in rows}),
+        "methods": len({row["method"] for row in rows}),
+        "points": len(rows),
+        "problems": sum(row["status"] not in ("ok", "unsuited") for row in rows),
+    }
+
+
+def _group(out: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    lines = summarise(rows)
+    captures: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        captures.setdefault(str(row["capture_id"]), []).append(row)
+    scored = any(line.per_capture for line in lines)
+    slug = "".join(c if c.isalnum() else "-" for c in name)
+    return {
+        "name": name,
+        "against": str(rows[0]["against"]),
+        "table": _table(lines),
+        "notes": [f"{line.label}: {line.note}" for line in lines if line.note],
+        "pareto": _pareto(lines, name, out / "figures" / f"pareto-{slug}.svg") if scored else "",
+        "coverage": _coverage(rows, out / "figures" / f"coverage-{slug}.svg") if scored else "",
+        "captures": [_capture(out, mine) for mine in captures.values()],
+    }
+
+
+def _table(lines: Sequence[Line]) -> dict[str, Any]:
+    many = max((len(line.per_capture) for line in lines), default=0) > 1
+    best = min((line.metrics.get("mae_m", 1e9) for line in lines if line.timed), default=None)
+    return {
+        "head": headings(per_capture=many),
+        "rows": [
+            {
+                "cells": [line.label, *cells(line, per_capture=many)],
+                "kind": "timed" if line.timed else "reference",
+                "best": line.timed and line.metrics.get("mae_m") == best,
+            }
+            for line in lines
+        ],
+    }
+
+
+def _pareto(lines: Sequence[Line], title: str, path: Path) -> str:
+    curves: dict[str, list[Line]] = {}
+    for line in lines:
+        if line.per_capture:
+            curves.setdefault(line.method if line.timed else line.label, []).append(line)
+    drawn = [
+        Curve(
+            name="uncorrected input" if name.startswith("input") else name,
+            ms=[line.ms for line in mine],
+            mae_m=[line.metrics.get("mae_m", float("nan")) for line in mine],
+            labels=[
+                f"{line.label}: MAE {number(line.metrics.get('mae_m'), 100)} cm, "
+                f"{number(line.ms)} ms"
+                for line in mine
+            ],
+            timed=mine[0].timed,
+        )
+        for name, mine in curves.items()
+    ]
+    svg = pareto_svg(drawn, title=f"Speed against accuracy: {title}")
+    path.write_text(svg, encoding="utf-8")
+    return svg
+
+
+def _coverage(rows: Sequence[Mapping[str, Any]], path: Path) -> str:
+    """Error against coverage on the capture of the group with the largest input error."""
+    with_input = [row for row in rows if row["metrics"].get("input_mae_m") is not None]
+    if not with_input:
+        return ""
+    hardest = max(with_input, key=lambda row: float(row["metrics"]["input_mae_m"]))["capture_id"]
+    mine = [row for row in with_input if row["capture_id"] == hardest and row.get("coverage")]
+    curves = [
+        Coverage(label_of(row), row["coverage"]["coverage"], row["coverage"]["mae_m"])
+        for row in best_per_method(mine)
+        if len(row["coverage"]["coverage"]) > 1
+    ]
+    if not curves:
+        return ""
+    svg = coverage_svg(curves, title=f"Error against coverage: {mine[0]['capture']}")
+    path.write_text(svg, encoding="utf-8")
+    return svg
+
+
+def _capture(out: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    pictures = capture_pictures(out, rows)
+    for name, png in pictures.items():
+        (out / "figures" / f"{rows[0]['capture_id']}-{name}.png").write_bytes(png)
+    return {
+        "name": rows[0]["capture"],
+        "against": rows[0]["against"],
+        "table": _table(summarise(rows)),
+        "regions": _regions(rows),
+        "statistics": _statistics(rows),
+        "pictures": {
+            name: "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+            for name, png in pictures.items()
+        },
+    }
+
+
+def _regions(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """MAE by region, every method at its best setting."""
+    chosen = best_per_method(rows)
+    if not chosen:
+        return {}
+    pixels = chosen[0].get("pixels") or {}
+    prefix = {region: "" if region == "all" else f"{region}." for region in REGIONS}
+    head = ["MAE cm", *(f"{region} ({pixels.get(region, 0)} px)" for region in REGIONS)]
+    first = chosen[0]["metrics"]
+    body = [["input", *(number(first.get(f"{prefix[r]}input_mae_m"), 100) for r in REGIONS)]]
+    body += [
+        [label_of(row), *(number(row["metrics"].get(f"{prefix[r]}mae_m"), 100) for r in REGIONS)]
+        for row in chosen
+    ]
+    return {"head": head, "rows": body}
+
+
+def _statistics(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Depth statistics of thesis 7.B, every method at its best setting."""
+    chosen = best_per_method(rows)
+    names = [name for name in METRICS if name.endswith(("_chi2", "_js", "_pearson"))]
+    kinds = list(dict.fromkeys(name.rpartition("_")[0] for name in names))
+    if not chosen:
+        return {}
+
+    def triple(metrics: Mapping[str, Any], kind: str, prefix: str) -> str:
+        return " / ".join(
+            number(metrics.get(f"{prefix}{kind}_{m}"), 1, ".3f") for m in ("chi2", "js", "pearson")
+        )
+
+    body = [["input", *(triple(chosen[0]["metrics"], kind, "input_") for kind in kinds)]]
+    body += [[label_of(row), *(triple(row["metrics"], kind, "") for kind in kinds)]
+             for row in chosen]  # fmt: skip
+    return {"head": ["χ² / JS / Pearson", *kinds], "rows": body}

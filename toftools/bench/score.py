@@ -1,0 +1,248 @@
+"""Third stage: stored answers to ``DIR/results.jsonl``; no method runs here.
+
+Every metric stands beside the same metric of the uncorrected input: the camera's phasors unwrapped
+(`crt`, or `single` for one frequency) with nothing done about multipath. Captures without truth
+are compared with the camera's own distance, and the row says so (``against``).
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toftools.bench.plan import Point, read_plan
+from toftools.bench.run import read_result, result_path
+from toftools.io.atomic import atomic_path
+from toftools.io.native import read_capture
+from toftools.metrics.coverage import error_coverage
+from toftools.metrics.regions import regions
+from toftools.phasor import phasors_of
+from toftools.registry import CORRECTIONS, METRICS, parameters_of
+from toftools.types import Bool, Capture, DepthMap, Truth
+from toftools.units import ambiguity_m
+
+# Distributions compare whole images; a region of one has too few pixels to fill a histogram.
+WHOLE_IMAGE = ("range_", "gradient_", "cooccurrence_", "haar_")
+
+
+def reference_of(capture: Capture) -> tuple[Truth | None, str]:
+    """What to score a capture against.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture.
+
+    Returns
+    -------
+    Truth or None, str
+        Truth and ``"truth"``; or the camera's own distance and ``"camera"``; or None.
+    """
+    if capture.truth is not None:
+        return capture.truth, "truth"
+    if capture.depth is not None and np.isfinite(capture.depth.range_m).any():
+        return Truth(capture.depth.range_m), "camera"
+    return None, "nothing"
+
+
+def uncorrected(capture: Capture) -> DepthMap:
+    """The input of every correction: unwrapped, multipath left in.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture.
+
+    Returns
+    -------
+    DepthMap
+        `crt` for several frequencies, `single` for one.
+    """
+    name = "crt" if capture.sensor.modulation.n_freqs > 1 else "single"
+    depth: DepthMap = CORRECTIONS[name].build(capture.sensor)(phasors_of(capture))
+    return depth
+
+
+def evaluate(
+    depth: DepthMap, truth: Truth, masks: Mapping[str, Bool], wrap_m: float
+) -> dict[str, float]:
+    """All metrics of an answer, error metrics also by region.
+
+    Parameters
+    ----------
+    depth : DepthMap
+        Answer.
+    truth : Truth
+        What it should be.
+    masks : mapping of str to ndarray, (H, W), bool
+        Regions; ``all`` among them.
+    wrap_m : float
+        Smallest ambiguity range, m.
+
+    Returns
+    -------
+    dict
+        ``name`` for the whole image, ``region.name`` for a region.
+    """
+    scores = {}
+    for region, mask in masks.items():
+        for name, spec in METRICS.items():
+            if region != "all" and name.startswith(WHOLE_IMAGE):
+                continue
+            takes = parameters_of(spec.load())
+            extra = {"ambiguity_m": wrap_m} if "ambiguity_m" in takes else {}
+            value = spec.build(truth, mask=mask, **extra)(depth)
+            scores[name if region == "all" else f"{region}.{name}"] = float(value)
+    return scores
+
+
+def score(out: Path) -> list[dict[str, Any]]:
+    """Score every point of a benchmark folder and write ``results.jsonl``.
+
+    Parameters
+    ----------
+    out : Path
+        Folder that ``bench run`` filled.
+
+    Returns
+    -------
+    list of dict
+        One row per point, in the order of the plan.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no benchmark.
+    """
+    plan, points = read_plan(out)
+    limits = plan["mask"]
+    rows = []
+    for item in plan["captures"]:
+        mine = [point for point in points if point.capture == item["id"]]
+        scorer = _Scorer.of(out, item, limits)
+        rows += [_row(plan["suite"], item, point, out, scorer) for point in mine]
+    with atomic_path(out / "results.jsonl") as temporary:
+        text = "".join(json.dumps(_finite(row)) + "\n" for row in rows)
+        temporary.write_text(text, encoding="utf-8")
+    return rows
+
+
+class _Scorer:
+    """Truth, masks and input scores of one capture, made once for all its points."""
+
+    def __init__(self, truth: Truth | None, against: str) -> None:
+        self.truth, self.against = truth, against
+        self.masks: dict[str, Bool] = {}
+        self.input: dict[str, float] = {}
+        self.wrap_m = float("inf")
+
+    @classmethod
+    def of(cls, out: Path, item: Mapping[str, Any], limits: Mapping[str, float]) -> "_Scorer":
+        capture = read_capture(out / "captures" / f"{item['id']}.h5")
+        truth, against = reference_of(capture)
+        scorer = cls(truth, against)
+        if truth is not None:
+            scorer.wrap_m = float(ambiguity_m(capture.sensor.modulation.freqs_hz).min())
+            scored = Capture(
+                sensor=capture.sensor,
+                phasors=phasors_of(capture),
+                depth=capture.depth,
+                truth=Truth(truth.range_m),
+            )
+            scorer.masks = regions(scored, **limits)
+            scorer.input = evaluate(uncorrected(capture), truth, scorer.masks, scorer.wrap_m)
+        return scorer
+
+
+def _row(
+    suite: str, item: Mapping[str, Any], point: Point, out: Path, scorer: _Scorer
+) -> dict[str, Any]:
+    result = read_result(out, point) or {"status": "missing", "error": "not run yet"}
+    row: dict[str, Any] = {
+        "suite": suite,
+        "capture": item["name"],
+        "capture_id": item["id"],
+        "group": item["group"],
+        "method": point.method,
+        "params": dict(point.params),
+        "against": scorer.against,
+        "metrics": {},
+        **{key: result.get(key) for key in ("status", "error", "setup_s", "first_call_s", "ms",
+                                           "ms_iqr", "peak_mb", "versions", "machine")},
+    }  # fmt: skip
+    if result["status"] != "ok":
+        return row
+    depth = read_answer(result_path(out, point).with_suffix(".npz"))
+    if scorer.truth is not None:
+        scores = evaluate(depth, scorer.truth, scorer.masks, scorer.wrap_m)
+        beside = {_input_name(name): value for name, value in scorer.input.items()}
+        row["metrics"] = {**scores, **beside}
+        row["pixels"] = {name: int(mask.sum()) for name, mask in scorer.masks.items()}
+        row["coverage"] = error_coverage(depth, scorer.truth, mask=scorer.masks["all"])
+    else:
+        row["metrics"] = {"valid_share": float(np.isfinite(depth.range_m).mean())}
+    return row
+
+
+def _input_name(name: str) -> str:
+    region, dot, metric = name.rpartition(".")
+    return f"{region}{dot}input_{metric}"
+
+
+def read_answer(path: Path) -> DepthMap:
+    """Answer of a point as the worker stored it.
+
+    Parameters
+    ----------
+    path : Path
+        npz file.
+
+    Returns
+    -------
+    DepthMap
+        Range, sigma, confidence.
+    """
+    with np.load(path, allow_pickle=False) as stored:
+        return DepthMap(**{name: stored[name] for name in stored.files})
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+    """The value with NaN and infinity as null: JSON has neither."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def read_rows(out: Path) -> list[dict[str, Any]]:
+    """Rows of ``results.jsonl``.
+
+    Parameters
+    ----------
+    out : Path
+        Benchmark folder.
+
+    Returns
+    -------
+    list of dict
+        Rows.
+
+    Raises
+    ------
+    ValueError
+        If the folder was not scored.
+    """
+    path = out / "results.jsonl"
+    try:
+        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except FileNotFoundError:
+        msg = f"no results in {out}; run: toftools bench score {out}"
+        raise ValueError(msg) from None
+    except ValueError as error:
+        msg = f"{path} is damaged ({error}); run: toftools bench score {out}"
+        raise ValueError(msg) from error

@@ -1,0 +1,142 @@
+"""One benchmark point in one process: ``python -m toftools.bench.worker JOB.json``.
+
+Set-up, first call and steady calls are timed apart; the answer is stored, so that scoring needs
+no rerun. The result file is written last and atomically: it exists if and only if the point is
+finished.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toftools.bench.plan import write_json
+from toftools.bench.references import REFERENCES
+from toftools.io.atomic import atomic_path
+from toftools.io.native import read_capture
+from toftools.phasor import phasors_of
+from toftools.registry import CORRECTIONS, find
+from toftools.types import Capture, DepthMap, Phasors
+
+BUDGET_S = 8.0  # steady calls stop here if the repeats are not done; at least three are made
+
+
+def peak_mb() -> float:
+    """Highest resident memory of this process.
+
+    Returns
+    -------
+    float
+        MB. The kernel's VmHWM where there is one: ru_maxrss also counts the parent's memory at
+        the moment of the fork.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
+
+
+def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int) -> dict[str, Any]:
+    """Build a method, run it, time it.
+
+    Parameters
+    ----------
+    capture : Capture
+        Input.
+    method : str
+        Registry name, reference name or ``module:function``.
+    params : dict
+        Parameters.
+    repeats : int
+        Steady calls wanted.
+
+    Returns
+    -------
+    dict
+        ``status``, ``depth`` and, for real methods, ``setup_s``, ``first_call_s``, ``ms``,
+        ``ms_iqr``; or status ``unsuited`` and the method's reason.
+    """
+    phasors = phasors_of(capture)
+    start = time.perf_counter()
+    try:
+        if method in REFERENCES:
+            run = REFERENCES[method].build(capture, **params)
+        else:
+            run = find(CORRECTIONS, method).build(capture.sensor, **params)
+    except ValueError as error:
+        # A method looks at the sensor when it is made: this one does not suit it.
+        return {"status": "unsuited", "error": " ".join(str(error).split())}
+    setup_s = time.perf_counter() - start
+    if method in REFERENCES:
+        return {"status": "ok", "depth": _checked(run(phasors), phasors)}
+    start = time.perf_counter()
+    depth = _checked(run(phasors), phasors)
+    first_call_s = time.perf_counter() - start
+    times: list[float] = []
+    began = time.perf_counter()
+    while len(times) < repeats:
+        start = time.perf_counter()
+        depth = run(phasors)
+        times.append(1e3 * (time.perf_counter() - start))
+        if len(times) >= 3 and time.perf_counter() - began > BUDGET_S:
+            break
+    low, mid, high = np.percentile(times, [25, 50, 75])
+    return {
+        "status": "ok",
+        "depth": depth,
+        "setup_s": setup_s,
+        "first_call_s": first_call_s,
+        "ms": float(mid),
+        "ms_iqr": float(high - low),
+        "calls": len(times),
+    }
+
+
+def _checked(depth: object, phasors: Phasors) -> DepthMap:
+    if not isinstance(depth, DepthMap) or depth.range_m.shape != phasors.valid.shape:
+        got = getattr(getattr(depth, "range_m", None), "shape", type(depth).__name__)
+        msg = f"the method must return a DepthMap of shape {phasors.valid.shape}, got {got}"
+        raise TypeError(msg)
+    return depth
+
+
+def _store_answer(path: Path, depth: DepthMap) -> None:
+    arrays: dict[str, Any] = {"range_m": depth.range_m}
+    for name in ("sigma_m", "confidence"):
+        if getattr(depth, name) is not None:
+            arrays[name] = getattr(depth, name)
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, **arrays)
+
+
+def main(job_file: str) -> None:
+    """Run the point described in a job file.
+
+    Parameters
+    ----------
+    job_file : str
+        JSON with capture, method, params, repeats, answer and result paths.
+    """
+    job = json.loads(Path(job_file).read_text(encoding="utf-8"))
+    capture = read_capture(job["capture"])
+    try:
+        result = measure(capture, job["method"], job["params"], int(job["repeats"]))
+        if "depth" in result:
+            _store_answer(Path(job["answer"]), result.pop("depth"))
+            result["peak_mb"] = peak_mb()
+    except Exception as error:  # a method's failure is a result, whatever it raises
+        detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        result = {"status": "failed", "error": detail}
+    write_json(Path(job["result"]), result)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

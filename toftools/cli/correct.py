@@ -1,0 +1,62 @@
+"""``toftools correct C.h5 --method NAME[:k=v,...] --out D.npz|.png|.ply|.h5``."""
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("capture_file", type=click.Path(path_type=Path))
+@click.option("--method", default="crt", show_default=True, metavar="NAME[:k=v,...]",
+              help="A registered method, or mypkg.mine:make.")  # fmt: skip
+@click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False),
+              help="Answer; the suffix chooses: .npz .png (z in mm) .ply .h5")  # fmt: skip
+@click.option("--format", "format_text", default=None, metavar="NAME[:k=v,...]",
+              help="Force a foreign input format.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print a summary as JSON.")
+def command(
+    *, capture_file: Path, method: str, out: Path, format_text: str | None, as_json: bool
+) -> None:
+    """Turn the capture in CAPTURE_FILE into a depth map."""
+    import numpy as np
+
+    from toftools.io.export import write_answer
+    from toftools.io.open import open_capture
+    from toftools.phasor import phasors_of
+    from toftools.registry import CORRECTIONS, find
+
+    capture = open_capture(capture_file, format_text)
+    phasors = phasors_of(capture)
+    depth = find(CORRECTIONS, method).build(capture.sensor)(phasors)
+    write_answer(out, depth, capture)
+    known = np.isfinite(depth.range_m)
+    summary = {
+        "out": str(out),
+        "method": method,
+        "valid_share": float(known.mean()),
+        "median_range_m": float(np.median(depth.range_m[known])) if known.any() else None,
+        "median_sigma_m": _median(depth.sigma_m),
+    }
+    if as_json:
+        click.echo(json.dumps(summary))
+    else:
+        click.echo(_sentence(summary))
+
+
+def _median(values: object) -> float | None:
+    import numpy as np
+
+    if values is None:
+        return None
+    finite = np.asarray(values)[np.isfinite(np.asarray(values))]
+    return float(np.median(finite)) if finite.size else None
+
+
+def _sentence(summary: dict[str, object]) -> str:
+    text = f"wrote {summary['out']}: {summary['method']}, {summary['valid_share']:.1%} of pixels"
+    if summary["median_range_m"] is not None:
+        text += f", median range {summary['median_range_m']:.3f} m"
+    if summary["median_sigma_m"] is not None:
+        text += f", median sigma {1e3 * float(str(summary['median_sigma_m'])):.2f} mm"
+    return text
