@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from toftools.camera import z_to_range
 from toftools.sensors import resized
 from toftools.sensors import sensor as make_sensor
-from toftools.types import F32, Sensor
+from toftools.types import F32, Camera, Modulation, Sensor
 
-MAX_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 24
 """More pixels than any ToF frame has: a larger claim is a hostile header."""
 
 
@@ -135,17 +136,89 @@ def sensor_of_size(name: str, width: int, height: int) -> tuple[Sensor, str]:
     Returns
     -------
     tuple of Sensor and str
-        The sensor, and the note for the provenance.
+        The sensor, and the note for the provenance. Another width rescales the preset; rows
+        that do not follow are taken as cut off or added evenly at both edges, since pixels are
+        square.
     """
     sensor = make_sensor(name)
     camera = sensor.camera
     if (width, height) == (camera.width, camera.height):
         return sensor, f"camera of the preset {sensor.name}"
+    scaled = resized(camera, width, max(1, round(camera.height * width / camera.width)))
+    K = np.array(scaled.K)
+    K[1, 2] += (height - scaled.height) / 2
     note = (
-        f"camera of the preset {sensor.name} ({camera.width}x{camera.height}) "
-        f"rescaled to {width}x{height}, same field of view assumed"
+        f"camera of the preset {sensor.name} ({camera.width}x{camera.height}) brought to "
+        f"{width}x{height}: same horizontal field of view, square pixels, centred rows (assumed)"
     )
-    return replace(sensor, camera=resized(camera, width, height)), note
+    return replace(sensor, camera=Camera(width, height, K, camera.dist)), note
+
+
+def depth_sensor(camera: Camera, freq_hz: float, name: str) -> Sensor:
+    """Sensor of a camera that reports distances only: one nominal frequency.
+
+    Parameters
+    ----------
+    camera : Camera
+        Optics.
+    freq_hz : float
+        Nominal modulation frequency, Hz; files of distances do not hold the real ones.
+    name : str
+        Label.
+
+    Returns
+    -------
+    Sensor
+        The sensor.
+    """
+    return Sensor(camera, Modulation(np.array([freq_hz], dtype=np.float64)), name=name)
+
+
+def radial(camera: Camera, distance_m: F32, kind: str) -> F32:
+    """Radial range of stored distances of either kind.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera.
+    distance_m : ndarray, (H, W)
+        Stored distance, m.
+    kind : {"range", "z"}
+        Whether it is radial or axial.
+
+    Returns
+    -------
+    ndarray, (H, W), float32
+        Radial range, m.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown.
+    """
+    if kind not in ("range", "z"):
+        msg = f"kind must be range (radial) or z (axial), got {kind!r}"
+        raise ValueError(msg)
+    return distance_m if kind == "range" else z_to_range(camera, distance_m)
+
+
+def single(values: ArrayLike, limit: float = 1e15) -> F32:
+    """Values as float32, NaN where they are not finite or beyond what float32 squares.
+
+    Parameters
+    ----------
+    values : array_like
+        Real numbers.
+    limit : float
+        Largest magnitude kept; its square must stay finite.
+
+    Returns
+    -------
+    ndarray, float32
+        The values.
+    """
+    stored = np.asarray(values, dtype=np.float64)
+    return np.where(np.abs(stored) <= limit, stored, np.nan).astype(np.float32)
 
 
 def metres(values: ArrayLike, scale_m: float, *invalid: float) -> F32:
