@@ -23,7 +23,7 @@ def command() -> None:
     """Run, score and report methods over captures: ``toftools bench SUITE --out DIR``."""
 
 
-_RUN_OPTIONS = [
+_RUN_OPTIONS: list[Callable[[Any], Any]] = [
     click.argument("suite", default="quick"),
     click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False),
                  help="Folder; a second run finishes what the first left."),
