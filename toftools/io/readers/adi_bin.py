@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from toftools.io.readers._file import (
     MAX_PIXELS,
+    depth_sensor,
     existing_file,
     metres,
     parsing,
@@ -45,7 +46,14 @@ def sniff(path: Path, head: bytes) -> bool:
     return named and path.is_file() and path.stat().st_size == 2 * _SIDE * _SIDE
 
 
-def read(path: Path | str, *, kind: str = "z", width: int = _SIDE, height: int = _SIDE) -> Capture:
+def read(
+    path: Path | str,
+    *,
+    kind: str = "z",
+    width: int = _SIDE,
+    height: int = _SIDE,
+    freq: float = 20e6,
+) -> Capture:
     """Read a depth frame and the brightness beside it.
 
     Parameters
@@ -56,6 +64,8 @@ def read(path: Path | str, *, kind: str = "z", width: int = _SIDE, height: int =
         Whether the stored depth is axial or radial.
     width, height : int
         Frame size, px.
+    freq : float
+        Nominal modulation frequency, Hz; the frame does not say its mode.
 
     Returns
     -------
@@ -70,8 +80,9 @@ def read(path: Path | str, *, kind: str = "z", width: int = _SIDE, height: int =
     path = existing_file(path)
     with parsing(path, "adi_bin", OSError):
         depth_m = metres(_frame(path, width, height), 1e-3, 0.0)
-        sensor, camera_note = sensor_of_size("adtf3175", width, height)
-        range_m = radial(sensor.camera, depth_m, kind)
+        preset, camera_note = sensor_of_size("adtf3175", width, height)
+        range_m = radial(preset.camera, depth_m, kind)
+        sensor = depth_sensor(preset.camera, freq, preset.name)
     return Capture(
         sensor=sensor,
         depth=DepthMap(range_m, amplitude=_brightness(path, width, height)),
@@ -84,7 +95,7 @@ def read(path: Path | str, *, kind: str = "z", width: int = _SIDE, height: int =
             "convention": {
                 "distance": f"stored as {kind} (not stated by the source)",
                 "offset_m": 0.0,
-                "modulation": "of the preset; the frame does not say its mode",
+                "modulation": "nominal; not in the file",
             },
         },
     )

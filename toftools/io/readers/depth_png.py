@@ -52,7 +52,7 @@ def read(
     invalid: tuple[float, ...] = (0,),
     hfov_deg: float = 60.0,
     camera: tuple[float, ...] = (),
-    freq: float = 20e6,
+    freq: float = 2e6,
 ) -> Capture:
     """Read a depth image.
 
@@ -71,7 +71,7 @@ def read(
     camera : tuple of 4 floats
         fx, fy, cx, cy, px.
     freq : float
-        Nominal modulation frequency, Hz.
+        Nominal modulation frequency, Hz; its wrap (75 m) lies beyond what 16-bit mm hold.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head[4:_LEAD] == b"star"
 
 
-def read(path: Path | str, *, freq: float = 20e6, hfov_deg: float = 60.0) -> Capture:
+def read(path: Path | str, *, freq: float = 10e6, hfov_deg: float = 60.0) -> Capture:
     """Read one frame buffer.
 
     Parameters
@@ -73,7 +73,8 @@ def read(path: Path | str, *, freq: float = 20e6, hfov_deg: float = 60.0) -> Cap
     path : path
         Buffer as received from the device.
     freq : float
-        Nominal modulation frequency, Hz; not in the frame.
+        Nominal modulation frequency, Hz; not in the frame. Its wrap (15 m) lies beyond the 10 m
+        that the distance code holds.
     hfov_deg : float
         Horizontal field of view, degrees, used only if the frame holds no usable calibration.
 

@@ -198,6 +198,6 @@ def _depth(arrays: dict[str, NDArray[Any]], camera: Camera) -> DepthMap | None:
     extras: dict[str, Any] = {
         key: single(_real(arrays[key]))
         for key in ("sigma_m", "confidence", "amplitude")
-        if key in arrays
+        if key in arrays and np.isfinite(arrays[key]).any()  # all NaN: the method had none
     }
     return DepthMap(radial(camera, distance, kind.removesuffix("_m")), **extras)

@@ -21,7 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toftools.io.readers._file import existing_file, metres, parsing, read_bytes, sensor_of_size
+from toftools.io.readers._file import (
+    depth_sensor,
+    existing_file,
+    metres,
+    parsing,
+    read_bytes,
+    sensor_of_size,
+)
 from toftools.io.readers._mat5 import first_name, read_array
 from toftools.types import Capture, DepthMap, Modulation, Phasors, Sensor, Truth
 
@@ -54,6 +61,7 @@ def read(
     right: str = "auto",
     freqs: tuple[float, float] = (40e6, 70e6),
     scale_m: float = 10.0,
+    freq: float = 10e6,
 ) -> Capture:
     """Read an image pair or a network output.
 
@@ -67,6 +75,8 @@ def read(
         Modulation frequencies, Hz.
     scale_m : float
         Metres per stored unit of distance.
+    freq : float
+        Nominal modulation frequency of a network output alone, Hz; its wrap must lie beyond 10 m.
 
     Returns
     -------
@@ -85,7 +95,7 @@ def read(
     with parsing(path, "su2018", OSError):
         name, array = read_array(read_bytes(path, limit=_LIMIT), "im_pair", "x")
         if name == "x":
-            return _network_output(path, array, freqs, scale_m)
+            return _network_output(path, array, freq, scale_m)
         return _image_pair(path, array, right, freqs, scale_m)
 
 
@@ -162,15 +172,13 @@ def _reported(path: Path, shape: tuple[int, ...], scale_m: float) -> dict[str, N
     return {"tofnet": metres(output[0], scale_m)}
 
 
-def _network_output(
-    path: Path, output: NDArray[Any], freqs: tuple[float, float], scale_m: float
-) -> Capture:
+def _network_output(path: Path, output: NDArray[Any], freq_hz: float, scale_m: float) -> Capture:
     if output.ndim != 3 or output.shape[0] != 1:
         msg = f"x must be (1, H, W), got {output.shape}"
         raise ValueError(msg)
-    sensor, camera_note = _sensor(output.shape[2], output.shape[1], freqs)
+    preset, camera_note = sensor_of_size("opt8241", output.shape[2], output.shape[1])
     return Capture(
-        sensor=sensor,
+        sensor=depth_sensor(preset.camera, freq_hz, preset.name),
         depth=DepthMap(metres(output[0], scale_m)),
         provenance={
             "source": "Su et al., CVPR 2018, network output",
@@ -178,6 +186,6 @@ def _network_output(
             "format": "su2018",
             "file": path.name,
             "camera": camera_note,
-            "convention": {"distance": "radial", "offset_m": 0.0},
+            "convention": {"distance": "radial", "modulation": "nominal; not in the file"},
         },
     )
