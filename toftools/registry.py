@@ -166,9 +166,9 @@ def parse_name(text: str) -> tuple[str, dict[str, Any]]:
     ('mypkg.mine:make', {'k': 1})
     """
     head, _, tail = text.strip().partition(":")
-    if "." in head and tail:
-        function, _, tail = tail.partition(":")
-        head = f"{head}:{function}"
+    function, _, rest = tail.partition(":")
+    if function and "=" not in function:  # module:function
+        head, tail = f"{head}:{function}", rest
     params: dict[str, Any] = {}
     for item in filter(None, tail.split(",")):
         key, equals, value = item.partition("=")

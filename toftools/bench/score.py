@@ -16,7 +16,7 @@ from toftools.bench.plan import Point, read_plan
 from toftools.bench.run import read_result, result_path
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
-from toftools.metrics.coverage import error_coverage
+from toftools.metrics.coverage import coverage_curve
 from toftools.metrics.regions import regions
 from toftools.phasor import phasors_of
 from toftools.registry import CORRECTIONS, METRICS, parameters_of
@@ -180,7 +180,9 @@ def _row(
         beside = {_input_name(name): value for name, value in scorer.input.items()}
         row["metrics"] = {**scores, **beside}
         row["pixels"] = {name: int(mask.sum()) for name, mask in scorer.masks.items()}
-        row["coverage"] = error_coverage(depth, scorer.truth, mask=scorer.masks["all"])
+        curve = coverage_curve(depth=depth, truth=scorer.truth, mask=scorer.masks["all"],
+                               max_points=40)  # fmt: skip
+        row["coverage"] = {name: getattr(curve, name).tolist() for name in ("coverage", "mae_m")}
     else:
         row["metrics"] = {"valid_share": float(np.isfinite(depth.range_m).mean())}
     return row

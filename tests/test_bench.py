@@ -1,0 +1,263 @@
+"""The benchmark end to end: stages meet in files, failures are data, a kill loses nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toftools.bench.plan import Point, make_plan, read_plan
+from toftools.bench.references import oracle_wrap, reported
+from toftools.bench.run import is_finished, read_result, run_points
+from toftools.bench.score import read_rows, score, uncorrected
+from toftools.bench.suite import built_in, load_suite, points
+from toftools.bench.table import label_of, markdown_table, summarise, text_table
+from toftools.sensors import sensor
+from toftools.sim.analytic import analytic
+from toftools.types import Capture, Scene, Shot
+
+SUITE = """
+name = "tiny"
+sensor = "opt8241:width=24,height=18"
+scenes = ["wall:range=2", "two_returns:range=2,extra=0.9,ratio=0.3"]
+methods = [
+    "single", "crt", "{module}:fails", "{module}:dies", "{module}:sleeps",
+    "{module}:wants_three", "oracle_wrap:freq_index=1", "reported",
+]
+repeats = 3
+[grid.single]
+freq_index = [0, 1]
+[grid.crt]
+max_range_m = [5.0, 0.0]
+"""
+
+METHODS = """
+import os, time
+from toftools.types import DepthMap
+
+def fails(sensor):
+    def run(phasors):
+        raise ZeroDivisionError("planted")
+    return run
+
+def dies(sensor):
+    return lambda phasors: os.kill(os.getpid(), 9)
+
+def sleeps(sensor):
+    return lambda phasors: time.sleep(60)
+
+def wants_three(sensor):
+    if sensor.modulation.n_freqs != 3:
+        raise ValueError("got 2 frequencies, wanted 3")
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A benchmark folder with the tiny suite run once, and the log of every point's status."""
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "planted.py").write_text(METHODS)
+    (folder / "tiny.toml").write_text(SUITE.format(module="planted"))
+    old = Path.cwd()
+    os.chdir(folder)
+    sys.path.insert(0, str(folder))
+    try:
+        suite = load_suite("tiny.toml")
+        out = folder / "out"
+        plan = make_plan(suite, out)
+        log = []
+        bad = run_points(plan, out, repeats=3, threads=1, timeout_s=8.0,
+                         progress=lambda _i, _n, p, s: log.append((p.method, s)))  # fmt: skip
+        rows = score(out)
+        yield out, plan, log, bad, rows
+    finally:
+        os.chdir(old)
+        sys.path.remove(str(folder))
+
+
+def test_every_point_has_a_row_and_failures_are_recorded(finished):
+    _, plan, log, bad, rows = finished
+    assert len(rows) == len(plan) == len(log) == 2 * 9  # nothing is reported for scenes
+    status = {label_of(row): row["status"] for row in rows}
+    assert status == {
+        "single:freq_index=0": "ok", "single:freq_index=1": "ok",
+        "crt:max_range_m=5.0": "ok", "crt:max_range_m=0.0": "ok",
+        "planted:fails": "failed", "planted:dies": "crashed", "planted:sleeps": "timeout",
+        "planted:wants_three": "unsuited", "oracle_wrap:freq_index=1": "ok",
+    }  # fmt: skip
+    assert bad == 6
+    why = {row["method"]: row["error"] for row in rows if row["status"] != "ok"}
+    assert why["planted:fails"] == "ZeroDivisionError: planted"
+    assert why["planted:wants_three"] == "got 2 frequencies, wanted 3"
+    assert "no answer within 8 s" in why["planted:sleeps"]
+    assert "exit code -9" in why["planted:dies"]
+
+
+def test_rows_keep_the_contract(finished):
+    out, _, _, _, rows = finished
+    on_disk = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    assert len(on_disk) == len(rows)
+    for row in on_disk:
+        for key in ("suite", "capture", "method", "params", "status", "metrics"):
+            assert key in row
+    good = next(r for r in on_disk if r["method"] == "crt")
+    for name in ("bias_m", "mae_m", "rmse_m", "median_m", "p25_m", "p75_m", "p95_m",
+                 "valid_share", "wrap_share", "input_mae_m", "corners.mae_m",
+                 "corners.input_mae_m"):  # fmt: skip
+        assert name in good["metrics"], name
+    for name in ("setup_s", "first_call_s", "ms", "ms_iqr", "peak_mb"):
+        assert good[name] >= 0
+    assert good["machine"]["threads"] == 1
+    reference = next(r for r in on_disk if r["method"] == "oracle_wrap")
+    assert reference["ms"] is None
+
+
+def test_scores_are_those_of_the_physics(finished):
+    _, _, _, _, rows = finished
+    by = {(r["capture"], label_of(r)): r["metrics"] for r in rows}
+    wall, two = sorted({r["capture"] for r in rows}, reverse=True)
+    noise = by[wall, "crt:max_range_m=0.0"]["rmse_m"]
+    assert 0 < noise < 0.02
+    assert by[wall, "crt:max_range_m=0.0"]["wrap_share"] == 0
+    assert by[two, "crt:max_range_m=0.0"]["mae_m"] > 5 * noise
+    assert by[two, "crt:max_range_m=0.0"]["input_mae_m"] == by[two, "crt:max_range_m=0.0"]["mae_m"]
+
+
+def test_a_second_run_keeps_what_is_finished_and_retries_the_rest(finished):
+    out, plan, _, _, _ = finished
+    log = []
+    quick = [p for p in plan if "sleeps" not in p.method]
+    run_points(quick, out, repeats=3, threads=1, timeout_s=8.0,
+               progress=lambda _i, _n, p, s: log.append((p.method, s)))  # fmt: skip
+    kept = {method for method, status in log if status == "kept"}
+    assert kept == {"single", "crt", "oracle_wrap", "planted:wants_three"}
+    assert {s for m, s in log if m == "planted:fails"} == {"failed"}
+
+
+def test_a_damaged_result_is_run_again(finished):
+    out, plan, _, _, _ = finished
+    point = next(p for p in plan if p.method == "single")
+    path = out / "runs" / f"{point.key}.json"
+    whole = path.read_text()
+    path.write_text(whole[:20])
+    assert not is_finished(out, point)
+    run_points([point], out, repeats=3, threads=1, timeout_s=60, progress=lambda *_: None)
+    assert read_result(out, point)["status"] == "ok"
+
+
+def test_kill_nine_during_a_run_loses_no_finished_point(tmp_path):
+    suite = tmp_path / "kill.toml"
+    suite.write_text(
+        'name = "kill"\nsensor = "opt8241:width=16,height=12"\nscenes = ["wall:range=2"]\n'
+        'methods = ["single", "crt"]\nrepeats = 3\n'
+        "[grid.single]\nfreq_index = [0, 1]\n[grid.crt]\nmax_range_m = [3.0, 5.0, 8.0]\n"
+    )
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "toftools", "bench", "run", str(suite), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                               start_new_session=True)  # fmt: skip
+    deadline = time.monotonic() + 120
+    while len(list((out / "runs").glob("*.json"))) < 2 and time.monotonic() < deadline:
+        assert process.poll() is None, "the run ended before it could be killed"
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    _, plan = read_plan(out)
+    before = {p.key: (out / "runs" / f"{p.key}.json").stat().st_mtime_ns
+              for p in plan if is_finished(out, p)}  # fmt: skip
+    assert 2 <= len(before) < 5
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all(is_finished(out, p) for p in plan)
+    for key, stamp in before.items():
+        assert (out / "runs" / f"{key}.json").stat().st_mtime_ns == stamp, "finished point rerun"
+    assert not list(out.rglob(".*.json.*")) + list(out.rglob(".*.h5.*")) or before
+
+
+def test_tables_have_the_input_first_and_every_label(finished):
+    _, _, _, _, rows = finished
+    lines = summarise(rows)
+    assert lines[0].label.startswith("input")
+    text, markdown = text_table(lines), markdown_table(lines)
+    for row in rows:
+        assert label_of(row) in text
+        assert f"`{label_of(row)}`" in markdown
+    assert "ZeroDivisionError: planted" in text
+    widths = {line.count("|") for line in markdown.splitlines()}
+    assert len(widths) == 1
+
+
+def test_report_is_one_file_without_network(finished):
+    from toftools.bench.report import report
+
+    out, *_ = finished
+    page = report(out).read_text()
+    assert page.count("<svg") >= 1
+    assert "data:image/png;base64," in page
+    assert "ZeroDivisionError: planted" in page
+    body = page.replace("http://www.w3.org/", "")
+    assert "http://" not in body
+    assert "https://" not in body
+    assert "<script src" not in body
+
+
+def test_built_in_suites_load_and_name_known_methods():
+    assert {"quick", "core", "full", "real"} <= set(built_in())
+    for name in built_in():
+        suite = load_suite(name)
+        for method in suite.methods:
+            assert points(suite, method)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name = ", "is not a suite"),
+        ('methods = ["crt"]\nscenez = ["wall"]', "unknown key 'scenez'"),
+        ('methods = ["crt"]', "needs methods, and captures or scenes"),
+        ('scenes = ["wall"]\nmethods = ["nope"]', "unknown name 'nope'"),
+        ('captures = ["*.nothing"]\nmethods = ["crt"]', "no file matches"),
+        ('captures = ["$NO_SUCH_VARIABLE_HERE/*.h5"]\nmethods = ["crt"]', "found no capture"),
+    ],
+)
+def test_bad_suites_are_one_sentence(tmp_path, text, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        make_plan(load_suite(str(path)), tmp_path / "out")
+
+
+def test_missing_results_say_what_to_do(tmp_path):
+    with pytest.raises(ValueError, match="start with: toftools bench run"):
+        score(tmp_path)
+    with pytest.raises(ValueError, match="run: toftools bench score"):
+        read_rows(tmp_path)
+    (tmp_path / "plan.json").write_text("{")
+    with pytest.raises(ValueError, match="is damaged"):
+        read_plan(tmp_path)
+
+
+def test_reference_rows_see_truth_and_published_output():
+    scene = Scene("two_returns", {"range": 2.0})
+    capture = analytic(scene)(Shot(sensor("opt8241:width=12,height=9"), noisy=False))
+    answer = oracle_wrap(capture, freq_index=1)(capture.phasors)
+    assert np.abs(answer.range_m - capture.truth.range_m).max() < 0.3
+    plain = uncorrected(capture)
+    assert plain.range_m.shape == (9, 12)
+    published = Capture(sensor=capture.sensor, phasors=capture.phasors,
+                        reported={"tofnet": np.full((9, 12), 1.5, np.float32)})  # fmt: skip
+    assert (reported(published)(capture.phasors).range_m == 1.5).all()
+    with pytest.raises(ValueError, match="published outputs"):
+        reported(capture)
+    with pytest.raises(ValueError, match="needs a capture with truth"):
+        oracle_wrap(published)
+
+
+def test_keys_depend_on_capture_method_and_parameters():
+    made = [("a", "m", {}), ("b", "m", {}), ("a", "n", {}), ("a", "m", {"k": 1})]
+    assert len({Point(*args).key for args in made}) == 4

@@ -1,0 +1,5 @@
+"""``python -m toftools``."""
+
+from toftools.cli import main
+
+main()
