@@ -1,0 +1,163 @@
+"""Native libraries come from wheels: real kernels and rays run on them, in fresh processes."""
+
+import ast
+import ctypes
+import importlib.metadata
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from toftools import _native
+
+PACKAGE = Path(_native.__file__).parent
+linux = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the packages find their own")
+
+# The system's libusb is hidden by refusing its name: only an exact file can then be loaded.
+HIDE_LIBUSB = """
+import ctypes
+real = ctypes.CDLL
+def only_files(name, *args, **kwargs):
+    if name == "libusb-1.0.so.0":
+        raise OSError("hidden by the test")
+    return real(name, *args, **kwargs)
+ctypes.CDLL = only_files
+"""
+MAPPED = """
+def mapped(word):
+    with open("/proc/self/maps") as maps:
+        return sorted({line.split()[-1] for line in maps if word in line.rsplit("/", 1)[-1]})
+"""
+LLVM_KERNEL = """
+from toftools._native import import_mitsuba
+mi = import_mitsuba()
+import drjit as dr
+import numpy as np
+assert dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+print(int(dr.sum(dr.square(dr.arange(mi.Float, 100)))[0]))
+scene = mi.load_dict({
+    "type": "scene",
+    "integrator": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1},
+    "sensor": {"type": "perspective", "fov": 90, "film": {
+        "type": "hdrfilm", "width": 9, "height": 9, "pixel_format": "luminance",
+        "rfilter": {"type": "box"}}},
+    "ball": {"type": "sphere", "center": [0, 0, 5], "radius": 2},
+    "sky": {"type": "constant", "radiance": 2.0},
+})
+image = np.array(mi.render(scene, spp=64))[..., 0]
+print(image[0, 0], image[4, 4])
+print(*mapped("libLLVM"))
+"""
+OPEN3D_RAY = """
+from toftools._native import import_open3d
+o3d = import_open3d()
+box = o3d.t.geometry.TriangleMesh.create_box()
+scene = o3d.t.geometry.RaycastingScene()
+scene.add_triangles(box)
+ray = o3d.core.Tensor([[0.5, 0.5, -3, 0, 0, 1]], dtype=o3d.core.float32)
+print(scene.cast_rays(ray)["t_hit"].item())
+print(*mapped("libusb"))
+"""
+
+
+def fresh(code: str, **env: str) -> list[str]:
+    """Lines a new interpreter prints; every warning is an error there."""
+    variables = {k: v for k, v in os.environ.items() if k != _native.LLVM_VARIABLE}
+    done = subprocess.run([sys.executable, "-W", "error", "-c", MAPPED + code],
+                          capture_output=True, text=True, env={**variables, **env})  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@linux
+def test_dr_jit_compiles_and_mitsuba_renders_with_the_llvm_of_the_wheel():
+    total, pixels, libraries = fresh(LLVM_KERNEL)
+    assert int(total) == 328_350  # 99 * 100 * 199 / 6
+    corner, centre = map(float, pixels.split())
+    assert corner == 2.0  # the sky alone
+    # A convex diffuse ball of albedo 0.5 under a uniform sky of 2 is 1, and cosine sampling hits
+    # the sky with the weight 0.5 every time: no noise, only float32.
+    assert centre == pytest.approx(1.0, abs=1e-5)
+    assert libraries == _native._wheel_llvm()
+
+
+@linux
+def test_open3d_casts_a_ray_with_the_libusb_of_the_wheel():
+    distance, libraries = fresh(HIDE_LIBUSB + OPEN3D_RAY)
+    assert float(distance) == pytest.approx(3.0, abs=1e-6)  # float32 and a unit box at z = 0
+    wheel = Path(importlib.util.find_spec("libusb_package").origin).parent
+    assert Path(libraries).parent == wheel
+
+
+@linux
+def test_a_users_own_llvm_is_kept(monkeypatch):
+    wheel = Path(_native._wheel_llvm())
+    own = f"{wheel.parent}/./{wheel.name}"  # works, but is spelled as only a user would
+    monkeypatch.setenv(_native.LLVM_VARIABLE, own)
+    assert _native.prepare_llvm() == own
+    assert os.environ[_native.LLVM_VARIABLE] == own
+
+
+@linux
+def test_a_library_that_cannot_be_or_is_too_old_is_refused_in_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setenv(_native.LLVM_VARIABLE, str(tmp_path / "nothing.so"))
+    with pytest.raises(RuntimeError, match=r"cannot load .*nothing\.so .*pip install karellen"):
+        _native.prepare_llvm()
+    # Like LLVM 15 and older, the C library has no LLVMGetVersion.
+    monkeypatch.setenv(_native.LLVM_VARIABLE, "libc.so.6")
+    with pytest.raises(RuntimeError, match="LLVM older than 16, with which"):
+        _native.prepare_llvm()
+
+
+def no_wheel(name):
+    raise importlib.metadata.PackageNotFoundError(name)
+
+
+def test_without_the_wheel_linux_is_told_what_to_install(monkeypatch):
+    monkeypatch.delenv(_native.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(importlib.metadata, "files", no_wheel)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(RuntimeError, match=r"found no libLLVM.*pip install karellen-llvm-core"):
+        _native.prepare_llvm()
+
+
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_elsewhere_the_packages_search_for_themselves(monkeypatch, platform):
+    monkeypatch.delenv(_native.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(importlib.metadata, "files", no_wheel)
+    monkeypatch.setattr(sys, "platform", platform)
+    assert _native.prepare_llvm() is None
+    assert _native.prepare_libusb() is None
+    assert _native.LLVM_VARIABLE not in os.environ
+
+
+def test_a_missing_libusb_is_said(monkeypatch):
+    def nothing(*_args, **_kwargs):
+        raise OSError
+
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(ctypes, "CDLL", nothing)
+    with pytest.raises(RuntimeError, match="which Open3D needs: pip install libusb-package"):
+        _native.prepare_libusb()
+
+
+def test_an_unknown_variant_is_refused():
+    with pytest.raises(ValueError, match="got Mitsuba variant 'llvm_mono', wanted one of scalar"):
+        _native.import_mitsuba("llvm_mono")
+
+
+@pytest.mark.parametrize(
+    "path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix()
+)
+def test_only_native_imports_mitsuba_and_open3d(path):
+    if path.name == "_native.py":
+        return
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        for name in names:
+            first = name.partition(".")[0]
+            assert first not in ("mitsuba", "open3d"), f"{path.name}:{node.lineno} imports {name}"
