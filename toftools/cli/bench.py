@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -100,7 +101,7 @@ def _run(suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_
     click.echo(f"suite {loaded.name}: reading captures", err=True)
     plan = make_plan(loaded, out, methods)
     with click.progressbar(
-        length=len(plan), label="points", file=click.get_text_stream("stderr"), width=24,
+        length=len(plan), label="points", file=sys.stderr, width=24,
         item_show_func=str,
     ) as bar:  # fmt: skip
 
