@@ -1,10 +1,9 @@
-"""Answers out: archive, 16-bit PNG, point cloud, capture; and camera intrinsics for other tools.
+"""Answers out: archive, 16-bit PNG, point cloud, capture.
 
 Everything is written whole or not at all. Invalid pixels are NaN in archives, 0 in PNG, and left
 out of clouds.
 """
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,7 +80,7 @@ def write_npz(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     one; and the camera as K (3, 3) px and dist.
     """
     unknown = np.full(depth.range_m.shape, np.nan, np.float32)
-    maps: dict[str, NDArray[Any]] = {
+    maps: dict[str, Any] = {
         "range_m": depth.range_m,
         "z_m": range_to_z(camera, depth.range_m),
         "sigma_m": unknown if depth.sigma_m is None else depth.sigma_m,
@@ -184,130 +183,3 @@ def write_ply(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     ]
     with atomic_path(path) as temporary:
         temporary.write_bytes("\n".join(header).encode("ascii") + vertices.tobytes())
-
-
-def open3d_json(camera: Camera) -> str:
-    """Intrinsics as Open3D's PinholeCameraIntrinsic JSON, whose matrix is column-major.
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera without distortion.
-
-    Returns
-    -------
-    str
-        JSON text.
-
-    Raises
-    ------
-    ValueError
-        If the camera has distortion, which Open3D cannot hold.
-    """
-    if camera.dist.any():
-        msg = "Open3D intrinsics hold no distortion, and this camera has some; undistort first"
-        raise ValueError(msg)
-    matrix = camera.K.flatten(order="F").tolist()
-    size = {"width": camera.width, "height": camera.height}
-    return json.dumps({**size, "intrinsic_matrix": matrix}, indent=1) + "\n"
-
-
-def opencv_json(camera: Camera) -> str:
-    """Intrinsics as JSON that OpenCV's FileStorage reads.
-
-    Parameters
-    ----------
-    camera : Camera
-        Any camera.
-
-    Returns
-    -------
-    str
-        JSON with image_width, image_height, camera_matrix and distortion_coefficients.
-    """
-    dist = camera.dist if camera.dist.size else np.zeros(5)
-    node = {
-        "image_width": camera.width,
-        "image_height": camera.height,
-        "camera_matrix": _matrix(camera.K),
-        "distortion_coefficients": _matrix(dist[None]),
-    }
-    return json.dumps(node, indent=1) + "\n"
-
-
-def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
-    rows, cols = values.shape
-    data = values.ravel().tolist()
-    return {"type_id": "opencv-matrix", "rows": rows, "cols": cols, "dt": "d", "data": data}
-
-
-def ros_yaml(camera: Camera, *, name: str = "tof") -> str:
-    """Intrinsics as the YAML file that ROS camera_info_manager loads.
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera with at most 8 distortion coefficients.
-    name : str
-        Camera name, letters, digits and underscores.
-
-    Returns
-    -------
-    str
-        YAML; the model is plumb_bob up to 5 coefficients, else rational_polynomial.
-
-    Raises
-    ------
-    ValueError
-        If the distortion has more than 8 coefficients, or the name other characters.
-    """
-    if camera.dist.size > 8:
-        msg = f"ROS models hold at most 8 distortion coefficients, got {camera.dist.size}"
-        raise ValueError(msg)
-    if not name.isidentifier() or not name.isascii():
-        msg = f"the camera name must be letters, digits and underscores, got {name!r}"
-        raise ValueError(msg)
-    count = 5 if camera.dist.size <= 5 else 8
-    dist = np.zeros((1, count))
-    dist[0, : camera.dist.size] = camera.dist
-    projection = np.hstack([camera.K, np.zeros((3, 1))])
-    return "\n".join(
-        [
-            f"image_width: {camera.width}",
-            f"image_height: {camera.height}",
-            f"camera_name: {name}",
-            *_yaml_matrix("camera_matrix", camera.K),
-            f"distortion_model: {'plumb_bob' if count == 5 else 'rational_polynomial'}",
-            *_yaml_matrix("distortion_coefficients", dist),
-            *_yaml_matrix("rectification_matrix", np.eye(3)),
-            *_yaml_matrix("projection_matrix", projection),
-            "",
-        ]
-    )
-
-
-def _yaml_matrix(key: str, values: NDArray[np.float64]) -> list[str]:
-    data = ", ".join(map(_yaml_float, values.ravel().tolist()))
-    rows, cols = values.shape
-    return [f"{key}:", f"  rows: {rows}", f"  cols: {cols}", f"  data: [{data}]"]
-
-
-def _yaml_float(value: float) -> str:
-    """Shortest text that reads back the same; YAML 1.1 takes 1e-05 for a word, 1.0e-05 not."""
-    text = repr(value)
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
-
-
-def write_text(path: Path | str, text: str) -> None:
-    """Write a text file whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Target.
-    text : str
-        Content, such as that of `ros_yaml`.
-    """
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
