@@ -50,7 +50,9 @@ def _answer(out: Path, row: Mapping[str, Any]) -> DepthMap | None:
     return read_answer(result_path(out, point).with_suffix(".npz"))
 
 
-def capture_pictures(out: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
+def capture_pictures(
+    out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float
+) -> dict[str, bytes]:
     """Error maps and clouds of one capture.
 
     Parameters
@@ -59,6 +61,8 @@ def capture_pictures(out: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, 
         Benchmark folder.
     rows : sequence of mapping
         Its rows.
+    max_range_m : float
+        Range limit of the suite, m.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def capture_pictures(out: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, 
     chosen = best_per_method(rows)[:MAX_MAPS]
     if truth is None or not chosen:
         return {}
-    depth = uncorrected(capture)
+    depth = uncorrected(capture, max_range_m)
     error = np.abs(depth.range_m - truth.range_m)
     known = error[np.isfinite(error)]
     limit = max(float(np.percentile(known, 90)) if known.size else 0.1, 1e-3)

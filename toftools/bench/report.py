@@ -7,6 +7,7 @@ from typing import Any
 
 import jinja2
 
+from toftools.bench.plan import read_plan
 from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.score import read_rows
 from toftools.bench.table import Line, cells, groups, headings, label_of, number, summarise
@@ -37,9 +38,10 @@ def report(out: Path) -> Path:
         If the folder was not scored.
     """
     rows = read_rows(out)
+    max_range_m = float(read_plan(out)[0]["mask"]["max_range_m"])
     figures = out / "figures"
     figures.mkdir(exist_ok=True)
-    sections = [_group(out, name, mine) for name, mine in groups(rows).items()]
+    sections = [_group(out, name, mine, max_range_m) for name, mine in groups(rows).items()]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         _TEMPLATE.read_text(encoding="utf-8")
     )
@@ -68,7 +70,9 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     }
 
 
-def _group(out: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _group(
+    out: Path, name: str, rows: Sequence[Mapping[str, Any]], max_range_m: float
+) -> dict[str, Any]:
     lines = summarise(rows)
     captures: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -82,7 +86,7 @@ def _group(out: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str,
         "notes": [f"{line.label}: {line.note}" for line in lines if line.note],
         "pareto": _pareto(lines, name, out / "figures" / f"pareto-{slug}.svg") if scored else "",
         "coverage": _coverage(rows, out / "figures" / f"coverage-{slug}.svg") if scored else "",
-        "captures": [_capture(out, mine) for mine in captures.values()],
+        "captures": [_capture(out, mine, max_range_m) for mine in captures.values()],
     }
 
 
@@ -145,8 +149,10 @@ def _coverage(rows: Sequence[Mapping[str, Any]], path: Path) -> str:
     return svg
 
 
-def _capture(out: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    pictures = capture_pictures(out, rows)
+def _capture(
+    out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float
+) -> dict[str, Any]:
+    pictures = capture_pictures(out, rows, max_range_m)
     for name, png in pictures.items():
         (out / "figures" / f"{rows[0]['capture_id']}-{name}.png").write_bytes(png)
     return {

@@ -1,8 +1,9 @@
 """Third stage: stored answers to ``DIR/results.jsonl``; no method runs here.
 
 Every metric stands beside the same metric of the uncorrected input: the camera's phasors unwrapped
-(`crt`, or `single` for one frequency) with nothing done about multipath. Captures without truth
-are compared with the camera's own distance, and the row says so (``against``).
+(`crt` within the suite's range limit, or `single` for one frequency) with nothing done about
+multipath. Captures without truth are compared with the camera's own distance, and the row says so
+(``against``).
 """
 
 import json
@@ -47,21 +48,27 @@ def reference_of(capture: Capture) -> tuple[Truth | None, str]:
     return None, "nothing"
 
 
-def uncorrected(capture: Capture) -> DepthMap:
+def uncorrected(capture: Capture, max_range_m: float = float("inf")) -> DepthMap:
     """The input of every correction: unwrapped, multipath left in.
 
     Parameters
     ----------
     capture : Capture
         The capture.
+    max_range_m : float
+        Where the scene is known to end, m; infinite for the joint ambiguity range.
 
     Returns
     -------
     DepthMap
         `crt` for several frequencies, `single` for one.
     """
-    name = "crt" if capture.sensor.modulation.n_freqs > 1 else "single"
-    depth: DepthMap = CORRECTIONS[name].build(capture.sensor)(phasors_of(capture))
+    if capture.sensor.modulation.n_freqs > 1:
+        limit = max_range_m if np.isfinite(max_range_m) else 0.0
+        run = CORRECTIONS["crt"].build(capture.sensor, max_range_m=limit)
+    else:
+        run = CORRECTIONS["single"].build(capture.sensor)
+    depth: DepthMap = run(phasors_of(capture))
     return depth
 
 
@@ -152,7 +159,8 @@ class _Scorer:
                 truth=Truth(truth.range_m),
             )
             scorer.masks = regions(scored, **limits)
-            scorer.input = evaluate(uncorrected(capture), truth, scorer.masks, scorer.wrap_m)
+            plain = uncorrected(capture, limits["max_range_m"])
+            scorer.input = evaluate(plain, truth, scorer.masks, scorer.wrap_m)
         return scorer
 
 
