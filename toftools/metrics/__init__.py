@@ -1,0 +1,1 @@
+"""Scores of a range image: errors, regions, depth statistics, error against coverage."""
