@@ -9,7 +9,7 @@ ifneq ($(wildcard ../shared/data/real),)
 export TOFTOOLS_DATA ?= $(abspath ../shared/data/real)
 endif
 
-.PHONY: test bench lint types pytest install clean
+.PHONY: test bench docs lint types pytest install clean
 
 install: $(VENV)/.installed
 
@@ -36,3 +36,7 @@ bench: install
 
 clean:
 	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache
+
+# Docs that come out of code; RESULTS=DIR takes over a finished run's results first.
+docs: install
+	$(BIN)/python benchmarks/make_docs.py --pictures $(if $(RESULTS),--results $(RESULTS))

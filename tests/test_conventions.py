@@ -77,6 +77,15 @@ def test_distorted_rays_project_back_onto_their_pixels():
     assert np.abs(pixels.reshape(120, 160, 2) - np.stack([u, v], -1)).max() < 1e-6
 
 
+def test_pixels_without_a_ray_are_nan():
+    # k1 = -0.35, k2 = 0.15, k3 = -0.03 folds back in the corners of a wide image.
+    K = np.array([[100.0, 0, 159.5], [0, 100.0, 119.5], [0, 0, 1]])
+    folding = Camera(320, 240, K, np.array([-0.35, 0.15, 0.0, 0.0, -0.03]))
+    directions = rays(folding)
+    assert np.isnan(directions[0, 0]).all()
+    assert np.isfinite(directions[60:180, 100:220]).all()  # radius 0.85; it folds at 0.945
+
+
 def test_resizing_keeps_the_field_of_view():
     camera = pinhole(320, 240, hfov_deg=70)
     small = resized(camera, 80, 60)

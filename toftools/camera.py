@@ -47,26 +47,34 @@ def rays(camera: Camera) -> F64:
     Returns
     -------
     ndarray, (H, W, 3)
-        Unit vectors in the camera frame.
+        Unit vectors in the camera frame; NaN where the distortion polynomial folds back on
+        itself, so that no ray belongs to the pixel.
     """
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     if camera.dist.any():
-        import cv2
-
-        pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        flat = cv2.undistortPointsIter if hasattr(cv2, "undistortPointsIter") else None
-        if flat is not None:
-            xy = flat(pixels, camera.K, camera.dist, None, None, stop)
-        else:
-            xy = cv2.undistortPoints(pixels, camera.K, camera.dist, criteria=stop)
-        x, y = np.asarray(xy, dtype=np.float64).reshape(camera.height, camera.width, 2).T
-        x, y = x.T, y.T
+        x, y = _undistorted(camera, u, v)
     else:
         y = (v - camera.K[1, 2]) / camera.K[1, 1]
         x = (u - camera.K[0, 2] - camera.K[0, 1] * y) / camera.K[0, 0]
     directions = np.stack([x, y, np.ones_like(x)], axis=-1)  # (H, W, 3)
     return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+def _undistorted(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
+    """Normalised image coordinates x / z and y / z of every pixel, distortion taken out."""
+    import cv2
+
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    # OpenCV 5 takes the stop criterion in undistortPoints, 4.x in a function of its own.
+    solve = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    xy = np.asarray(solve(pixels, camera.K, camera.dist, R=None, P=None, criteria=stop))
+    forward = cv2.convertPointsToHomogeneous(xy.reshape(-1, 1, 2))
+    back = cv2.projectPoints(forward, np.zeros(3), np.zeros(3), camera.K, camera.dist)[0]
+    missed = np.abs(np.asarray(back).reshape(-1, 2) - pixels.reshape(-1, 2)).max(axis=1) > 1e-2
+    flat = np.where(missed[:, None], np.nan, xy.reshape(-1, 2))
+    x, y = flat.reshape(*u.shape, 2).transpose(2, 0, 1)
+    return x, y
 
 
 def range_to_z(camera: Camera, range_m: F32 | F64) -> F32:

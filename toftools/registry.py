@@ -261,6 +261,7 @@ METRICS = _table(
     r2=Spec("toftools.metrics.error:r2", better="higher"),
     valid_share=Spec("toftools.metrics.error:valid_share", better="higher"),
     wrap_share=Spec("toftools.metrics.error:wrap_share", better="lower"),
+    coherence=Spec("toftools.metrics.coherence:coherence", better="higher"),
     **_statistics("range"),
     **_statistics("gradient_h"),
     **_statistics("gradient_v"),

@@ -162,6 +162,7 @@ COLUMNS = (
     ("< 1 cm %", "under_1cm", 100, ".1f"),
     ("wraps %", "wrap_share", 100, ".2f"),
     ("valid %", "valid_share", 100, ".1f"),
+    ("coherence", "coherence", 1, ".4f"),
 )
 """Heading, metric, factor, format of the summary columns."""
 
@@ -179,13 +180,13 @@ def cells(line: Line, *, per_capture: bool) -> list[str]:
     Returns
     -------
     list of str
-        Summary columns, time, set-up, memory, then MAE per capture in cm.
+        Mean MAE, MAE per capture, the other summary columns, times, memory.
     """
     found = [number(line.metrics.get(name), scale, form) for _, name, scale, form in COLUMNS]
+    if per_capture:
+        found.insert(1, " / ".join(number(v, 100, ".2f") for v in line.per_capture.values()))
     found += [number(line.ms, 1, ".2f"), number(line.setup_s, 1, ".2f"),
               number(line.first_call_s, 1, ".2f"), number(line.peak_mb, 1, ".0f")]  # fmt: skip
-    if per_capture:
-        found.append(" / ".join(number(v, 100, ".2f") for v in line.per_capture.values()))
     return found
 
 
@@ -202,9 +203,10 @@ def headings(*, per_capture: bool) -> list[str]:
     list of str
         Column headings.
     """
-    fixed = ["method", *(heading for heading, *_ in COLUMNS)]
-    fixed += ["ms", "set-up s", "first call s", "peak MB"]
-    return [*fixed, "MAE cm by capture"] if per_capture else fixed
+    found = ["method", *(heading for heading, *_ in COLUMNS)]
+    if per_capture:
+        found.insert(2, "of each")
+    return [*found, "ms", "set-up s", "first s", "MB"]
 
 
 def number(value: float | None, scale: float = 1.0, form: str = ".2f") -> str:

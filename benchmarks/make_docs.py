@@ -1,0 +1,158 @@
+"""Docs that come out of code: docs/methods.md, the README's table and the README's pictures.
+
+python benchmarks/make_docs.py            rewrite docs/methods.md and the README's tables
+python benchmarks/make_docs.py --pictures also simulate and draw docs/pictures/
+python benchmarks/make_docs.py --results DIR  first take over DIR/results.jsonl of a finished run
+"""
+
+import argparse
+import importlib
+import inspect
+import json
+import re
+from pathlib import Path
+
+from toftools.bench.table import groups, markdown_table, summarise
+from toftools.registry import CORRECTIONS, METRICS, READERS, SIMULATORS, parameters_of
+from toftools.sensors import PRESETS, SOURCES
+from toftools.sim.analytic import SCENES
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results" / "full.jsonl"
+KEPT = ("suite", "capture", "group", "method", "params", "against", "status", "error", "setup_s",
+        "first_call_s", "ms", "ms_iqr", "peak_mb", "versions", "machine")  # fmt: skip
+
+
+def first_sentence(thing):
+    return re.split(r"(?<=\.)\s", inspect.getdoc(thing) or "")[0].replace("\n", " ")
+
+
+def dials(make):
+    return ", ".join(f"`{key}={value}`" for key, value in parameters_of(make).items()) or "none"
+
+
+def method_sections(table):
+    for name, spec in table.items():
+        make = spec.load()
+        header = inspect.getdoc(importlib.import_module(spec.target.partition(":")[0]))
+        grid = ", ".join(f"`{key}` {list(values)}" for key, values in spec.grid.items())
+        yield f"### `{name}`\n\n{header}\n\n- Parameters: {dials(make)}"
+        if grid:
+            yield f"- Benchmark grid: {grid}"
+
+
+def rows(table, head):
+    yield f"| {' | '.join(head)} |\n|{'---|' * len(head)}"
+    yield from (f"| {' | '.join(row)} |" for row in table)
+
+
+def methods_md():
+    metrics = [(f"`{n}`", s.unit or "1", s.better, first_sentence(s.load()))
+               for n, s in METRICS.items()]  # fmt: skip
+    readers = [(f"`{n}`", dials(s.load()), first_sentence(
+        importlib.import_module(s.target.partition(":")[0]))) for n, s in READERS.items()]  # fmt: skip
+    parts = [
+        "# Methods\n\nMade by `python benchmarks/make_docs.py` from the registry; do not edit.",
+        "## Corrections\n\nA correction turns phasors into a depth map.",
+        *method_sections(CORRECTIONS),
+        "## Simulators",
+        *method_sections(SIMULATORS),
+        "### Closed-form scenes\n",
+        "\n".join(rows([(f"`{n}`", dials(f), first_sentence(f)) for n, f in SCENES.items()],
+                       ("scene", "parameters", "what"))),
+        "## Sensors\n",
+        "\n".join(rows([(f"`{n}`", SOURCES[n]) for n in PRESETS], ("preset", "source"))),
+        "Read noise 20 e-, full well 150 000 e-, contrast 0.8 and signal 20 000 e- at 1 m are assumed "
+        "for every preset: makers do not publish them.",
+        "## Readers\n",
+        "\n".join(rows(readers, ("format", "parameters", "what"))),
+        "## Metrics\n",
+        "\n".join(rows(metrics, ("metric", "unit", "better", "what"))),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def results_md():
+    found = [json.loads(line) for line in RESULTS.read_text().splitlines()]
+    parts = []
+    for name, mine in groups(found).items():
+        against = "" if mine[0]["against"] == "truth" else ", against the camera's own distance"
+        parts.append(f"**{name}**{against}\n\n{markdown_table(summarise(mine))}")
+    machine = next(row["machine"] for row in found if row.get("machine"))
+    parts.append(f"{machine['cpu']}, {machine['threads']} threads. ms is the median per frame.")
+    return "\n\n".join(parts)
+
+
+def replace_block(text, name, block):
+    pattern = rf"(<!-- {name} -->).*?(<!-- /{name} -->)"
+    new, count = re.subn(pattern, lambda m: f"{m[1]}\n{block}\n{m[2]}", text, flags=re.DOTALL)
+    assert count == 1, f"README has no block {name}"
+    return new
+
+
+def take_results(folder):
+    """Keep what tables need; curves stay in the run's folder."""
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    shown = ("mae_m", "median_m", "p95_m", "bias_m", "under_1cm", "wrap_share", "valid_share",
+             "coherence")
+    lines = []
+    for line in (folder / "results.jsonl").read_text().splitlines():
+        row = json.loads(line)
+        small = {key: row[key] for key in KEPT}
+        small["metrics"] = {
+            key: float(f"{value:.6g}")
+            for key, value in row["metrics"].items()
+            if key.removeprefix("input_") in shown and value is not None
+        }
+        lines.append(json.dumps(small))
+    RESULTS.write_text("\n".join(lines) + "\n")
+
+
+def pictures():
+    import numpy as np
+
+    from toftools.bench.report import _pareto
+    from toftools.camera import points
+    from toftools.correct.crt import crt
+    from toftools.sensors import sensor
+    from toftools.sim.analytic import analytic
+    from toftools.types import Scene, Shot
+    from toftools.viz.cloud import cloud_png
+    from toftools.viz.figures import maps_png
+
+    folder = ROOT / "docs" / "pictures"
+    folder.mkdir(parents=True, exist_ok=True)
+    device = sensor("opt8241:width=200,height=150")
+    capture = analytic(Scene("corner", {"range": 2.0, "albedo": 0.8}))(Shot(device, seed=1))
+    depth = crt(device)(capture.phasors)
+    panels = [
+        ("truth", capture.truth.range_m, "range"),
+        ("crt: multipath left in", depth.range_m - capture.truth.range_m, "error"),
+        ("sigma from the noise model", depth.sigma_m, "sigma"),
+    ]
+    (folder / "corner.png").write_bytes(maps_png(panels, columns=3))
+    shown = np.where(np.isfinite(capture.truth.range_m), depth.range_m, np.nan)
+    cloud = cloud_png(points(device.camera, shown), shown, size=(900, 560))
+    (folder / "cloud.png").write_bytes(cloud)
+    found = [json.loads(line) for line in RESULTS.read_text().splitlines()]
+    name, mine = next(iter(groups(found).items()))
+    _pareto(summarise(mine), name, folder / "pareto.svg")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path)
+    parser.add_argument("--pictures", action="store_true")
+    args = parser.parse_args()
+    if args.results:
+        take_results(args.results)
+    (ROOT / "docs" / "methods.md").write_text(methods_md(), encoding="utf-8")
+    readme = ROOT / "README.md"
+    readme.write_text(replace_block(readme.read_text(encoding="utf-8"), "results", results_md()),
+                      encoding="utf-8")  # fmt: skip
+    if args.pictures:
+        pictures()
+
+
+if __name__ == "__main__":
+    main()
