@@ -17,19 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
+from toftools.correct._turns import FAST, turns
 from toftools.types import F32, F64, Phasors, Sensor
 from toftools.units import ambiguity_m, joint_ambiguity_m, range_to_phase
 
 BLOCK = 512
 """Pixels per block: the block's arrays stay in the first-level caches."""
-# Not the full set: NaN and infinity keep their meaning.
-FAST = {"reassoc", "contract", "arcp", "nsz"}
-# atan(x) / (2 pi x) as a polynomial in x^2 on [0, 1]; least maximum error, fitted for this file:
-# 6e-9 turns before float32 rounding, checked against arctan2 in tests/test_unwrapping.py.
-ATAN = (
-    0.159154837, -0.053046121, 0.0317459452, -0.0221362713,
-    0.0153460332, -0.00889872248, 0.00347959732, -0.000645304273,
-)  # fmt: skip
 # Caps the signal to noise ratio at 1e5, so that noise-free input keeps finite weights.
 LEAST_NOISE = 1e-10
 
@@ -117,10 +110,7 @@ def plan(sensor: Sensor, max_range_m: float, *, least_freqs: int, method: str) -
             "use 'single' or 'crt'"
         )
         raise ValueError(msg)
-    if not (np.isfinite(max_range_m) and max_range_m >= 0):
-        msg = f"max_range_m must be metres, or 0 for the joint ambiguity, got {max_range_m}"
-        raise ValueError(msg)
-    longest = _longest(freqs, float(max_range_m))
+    longest = longest_m(freqs, max_range_m)
     anchor = int(np.argmax(freqs))
     ambiguity = ambiguity_m(freqs)
     # One wrap more at both ends: noise may carry a phase across either.
@@ -128,13 +118,35 @@ def plan(sensor: Sensor, max_range_m: float, *, least_freqs: int, method: str) -
     return Plan(ambiguity, range_to_phase(1.0, freqs) ** 2, anchor, -1, last, longest)
 
 
-def _longest(freqs: F64, max_range_m: float) -> float:
+def longest_m(freqs_hz: F64, max_range_m: float) -> float:
+    """Longest range to consider.
+
+    Parameters
+    ----------
+    freqs_hz : ndarray, (F,)
+        Modulation frequencies, Hz.
+    max_range_m : float
+        Wanted limit, m; 0 stands for the joint ambiguity.
+
+    Returns
+    -------
+    float
+        The limit, at most the joint ambiguity, m.
+
+    Raises
+    ------
+    ValueError
+        If the limit is negative or not finite.
+    """
+    if not (np.isfinite(max_range_m) and max_range_m >= 0):
+        msg = f"max_range_m must be metres, or 0 for the joint ambiguity, got {max_range_m}"
+        raise ValueError(msg)
     if max_range_m == 0:
-        return joint_ambiguity_m(freqs)
+        return joint_ambiguity_m(freqs_hz)
     try:
-        return min(max_range_m, joint_ambiguity_m(freqs))
+        return min(float(max_range_m), joint_ambiguity_m(freqs_hz))
     except ValueError:  # incommensurate frequencies never repeat: nothing to cap
-        return max_range_m
+        return float(max_range_m)
 
 
 def search(phasors: Phasors, walk: Plan, *, top: int) -> Candidates:
@@ -189,30 +201,10 @@ def search(phasors: Phasors, walk: Plan, *, top: int) -> Candidates:
     )
 
 
-@njit(cache=True, fastmath=FAST, inline="always")  # type: ignore[untyped-decorator]  # numba has no types
-def _turns(re: np.float32, im: np.float32) -> np.float32:
-    """Angle of re + j im in [0, 1] turns, float32, without a branch."""
-    x, y = abs(re), abs(im)
-    u = min(x, y) / max(max(x, y), np.float32(1e-30))
-    s = u * u
-    a = np.float32(ATAN[7])
-    a = a * s + np.float32(ATAN[6])
-    a = a * s + np.float32(ATAN[5])
-    a = a * s + np.float32(ATAN[4])
-    a = a * s + np.float32(ATAN[3])
-    a = a * s + np.float32(ATAN[2])
-    a = a * s + np.float32(ATAN[1])
-    a = (a * s + np.float32(ATAN[0])) * u
-    a = np.float32(0.25) - a if y > x else a
-    a = np.float32(0.5) - a if re < 0 else a
-    a = np.float32(1.0) - a if im < 0 else a
-    return a
-
-
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
 def _weigh(
     values: F32, sigma: F32, known: bool, k2: F32, lo: int, n: int,
-    turns: F32, weight: F32, total: F32,
+    cycles: F32, weight: F32, total: F32,
 ) -> None:  # fmt: skip
     """Phase in turns, weight in 1/m^2 and sum of weights of one block."""
     n_freqs = values.shape[0]
@@ -220,7 +212,7 @@ def _weigh(
     for i in range(n_freqs):
         for j in range(n):
             re, im = values[i, lo + j, 0], values[i, lo + j, 1]
-            turns[i, j] = _turns(re, im)
+            cycles[i, j] = turns(re, im)
             power = re * re + im * im
             weight[i, j] = power
             mean[j] += power / np.float32(n_freqs)
@@ -236,7 +228,7 @@ def _weigh(
 
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
 def _walk(
-    turns: F32, weight: F32, total: F32, U: F32, anchor: int, wrap: np.float32,
+    cycles: F32, weight: F32, total: F32, U: F32, anchor: int, wrap: np.float32,
     longest: np.float32, n: int, s1: F32, s2: F32, range_m: F32, cost: F32,
 ) -> None:  # fmt: skip
     """Range and cost of the candidate with one wrap of the anchor, for one block."""
@@ -245,13 +237,13 @@ def _walk(
     for i in range(U.size):
         ratio = U[anchor] / U[i]
         for j in range(n):
-            off = (turns[anchor, j] + wrap) * ratio - turns[i, j]
+            off = (cycles[anchor, j] + wrap) * ratio - cycles[i, j]
             e = (np.rint(off) - off) * U[i]  # d_i minus the anchor's range
             s1[j] += weight[i, j] * e
             s2[j] += weight[i, j] * e * e
     for j in range(n):
         shift = s1[j] / max(total[j], np.float32(1e-30))
-        free = (turns[anchor, j] + wrap) * U[anchor] + shift
+        free = (cycles[anchor, j] + wrap) * U[anchor] + shift
         kept = min(max(free, np.float32(0)), longest)
         out = kept - free
         range_m[j] = kept
@@ -269,17 +261,17 @@ def _search(
     for block in prange((n_pixels + BLOCK - 1) // BLOCK):
         lo = block * BLOCK
         n = min(BLOCK, n_pixels - lo)
-        turns = np.empty((n_freqs, BLOCK), np.float32)
+        cycles = np.empty((n_freqs, BLOCK), np.float32)
         weight = np.empty((n_freqs, BLOCK), np.float32)
         s1, s2 = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
         new_range, new_cost = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
         total = information[lo : lo + n]
-        _weigh(values, sigma, known, k2, lo, n, turns, weight, total)
+        _weigh(values, sigma, known, k2, lo, n, cycles, weight, total)
         range_m[:, lo : lo + n] = np.nan
         cost[:, lo : lo + n] = np.inf
         for wrap in range(first, last + 1):
             step = np.float32(wrap)
-            _walk(turns, weight, total, U, anchor, step, longest, n, s1, s2, new_range, new_cost)
+            _walk(cycles, weight, total, U, anchor, step, longest, n, s1, s2, new_range, new_cost)
             for t in range(top):
                 _sink(new_range, new_cost, range_m[t, lo : lo + n], cost[t, lo : lo + n])
 
