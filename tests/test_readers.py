@@ -143,7 +143,8 @@ def test_npy_reader_agrees_with_numpy(tmp_path):
     for array in (np.arange(6.0).reshape(2, 3), np.asfortranarray(np.arange(6, dtype=">i2")
                   .reshape(2, 3)), np.ones((2, 2), np.complex64), np.eye(2) > 0):  # fmt: skip
         np.save(tmp_path / "a.npy", array)
-        got = _npy.read_npy((tmp_path / "a.npy").read_bytes())
+        with (tmp_path / "a.npy").open("rb") as file:
+            got = _npy.read_npy(file, (tmp_path / "a.npy").stat().st_size)
         assert got.dtype == array.dtype
         assert (got == array).all()
 

@@ -222,7 +222,7 @@ def single(values: ArrayLike, limit: float = 1e15) -> F32:
 
 
 def metres(values: ArrayLike, scale_m: float, *invalid: float) -> F32:
-    """Range or z in metres; NaN for the invalid codes, infinities, negatives and nonsense.
+    """Range or z in metres; NaN for the invalid codes and for what is not 1 um to 1000 km.
 
     Parameters
     ----------
@@ -241,6 +241,6 @@ def metres(values: ArrayLike, scale_m: float, *invalid: float) -> F32:
     stored = np.asarray(values, dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         result = stored * scale_m
-        # Beyond 1e6 m it is not a range, and float32 would lose it anyway.
-        bad = ~(result >= 0) | (result > 1e6) | np.isin(stored, invalid)
+        # Less than a micrometre or more than a thousand kilometres is no range of a camera.
+        bad = ~((result >= 1e-6) & (result <= 1e6)) | np.isin(stored, invalid)
     return np.asarray(np.where(bad, np.nan, result), dtype=np.float32)

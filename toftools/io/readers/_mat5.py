@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 MAGIC = b"MATLAB 5.0 MAT-file"
 HEADER_BYTES = 128
-MAX_INFLATED = 1 << 27  # 128 MiB; a frame of this family has 6 MB
+MAX_INFLATED = 1 << 25  # 32 MiB; a frame of this family has 6 MB
+_HEAD_BYTES = 512  # flags, dimensions and name of an array
 _COMPRESSED, _MATRIX = 15, 14
 _NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS .. mxUINT64_CLASS
 _COMPLEX_FLAG = 0x0800
@@ -56,15 +57,26 @@ def _inflated(content: bytes, limit: int) -> bytes:
         raise ValueError(msg) from error
 
 
-def _matrices(data: bytes) -> Iterator[tuple[bytes, str]]:
-    """Bodies of the arrays in a file, with the byte order."""
-    order, start = _order(data), HEADER_BYTES
+def _matrices(data: bytes, order: str) -> Iterator[tuple[bytes, bytes]]:
+    """The first bytes of each array's body, and the element that holds it all, still packed."""
+    start = HEADER_BYTES
     while start < len(data):
+        first = start
         kind, content, start = _element(data, start, order)
         if kind == _COMPRESSED:
-            kind, content, _ = _element(_inflated(content, MAX_INFLATED), 0, order)
+            head = _inflated(content, _HEAD_BYTES)
+            kind = int.from_bytes(head[:4], "little" if order == "<" else "big")
+            content = head[8:]
         if kind == _MATRIX:
-            yield content, order
+            yield content[:_HEAD_BYTES], data[first:start]
+
+
+def _body(element: bytes, order: str) -> bytes:
+    """Body of an array from its element, unpacked if need be."""
+    kind, content, _ = _element(element, 0, order)
+    if kind != _COMPRESSED:
+        return content
+    return _element(_inflated(content, MAX_INFLATED), 0, order)[1]
 
 
 def _head(body: bytes, order: str) -> tuple[int, tuple[int, ...], str, int]:
@@ -98,7 +110,7 @@ def first_name(head: bytes) -> str:
         kind, _ = struct.unpack_from(order + "II", head, HEADER_BYTES)
         body = head[HEADER_BYTES + 8 :]
         if kind == _COMPRESSED:
-            body = _inflated(body, 512)
+            body = _inflated(body, _HEAD_BYTES)
             kind, _ = struct.unpack_from(order + "II", body)
             body = body[8:]
         return _head(body, order)[2] if kind == _MATRIX else ""
@@ -126,12 +138,12 @@ def read_array(data: bytes, *names: str) -> tuple[str, NDArray[Any]]:
     ValueError
         If the file is damaged or has no such real, numeric array.
     """
-    found = []
-    for body, order in _matrices(data):
-        word, shape, name, at = _head(body, order)
+    found, order = [], _order(data)
+    for head, element in _matrices(data, order):
+        word, shape, name, at = _head(head, order)
         found.append(name)
         if name in names:
-            return name, _numbers(body, at, order, word, shape)
+            return name, _numbers(_body(element, order), at, order, word, shape)
     msg = f"it holds {found or 'no arrays'}, wanted one named {' or '.join(names)}"
     raise ValueError(msg)
 

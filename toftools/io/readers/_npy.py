@@ -1,4 +1,4 @@
-"""Number arrays out of .npy bytes, without trusting the header.
+"""Number arrays out of .npy files, without trusting the header.
 
 Layout (NumPy enhancement proposal 1): magic, version, header length, a Python dictionary literal
 with descr, fortran_order and shape, then the numbers. Only plain numbers are accepted: no
@@ -7,8 +7,7 @@ objects, no records, nothing is unpickled, nothing is allocated before the size 
 
 import ast
 import re
-import struct
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +17,15 @@ _NUMBER = re.compile(r"[<>|=]?[biufc][0-9]{1,2}|[<>|=]?b1|\?")
 _MAX_HEADER = 10_000
 
 
-def read_npy(data: bytes) -> NDArray[Any]:
-    """The array in the bytes of a .npy file.
+def read_npy(file: BinaryIO, size: int) -> NDArray[Any]:
+    """The array in a .npy file.
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
+    file : binary file
+        At its start.
+    size : int
+        Its length, bytes.
 
     Returns
     -------
@@ -34,9 +35,9 @@ def read_npy(data: bytes) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        If the bytes are not a whole .npy file of numbers.
+        If it is not a whole .npy file of numbers.
     """
-    header, start = _header(data)
+    header, start = _header(file)
     descr, order, shape = (header[key] for key in ("descr", "fortran_order", "shape"))
     if not isinstance(descr, str) or not _NUMBER.fullmatch(descr):
         msg = f"it holds {descr!r}, wanted plain numbers"
@@ -51,30 +52,35 @@ def read_npy(data: bytes) -> NDArray[Any]:
         msg = f"its number type {descr!r} does not exist"
         raise ValueError(msg) from error
     count = int(np.prod(shape, dtype=object))
-    if len(shape) > 8 or count == 0 or count * dtype.itemsize > len(data) - start:
-        msg = f"it claims shape {shape} of {dtype.name}, but {len(data) - start} bytes follow"
+    if len(shape) > 8 or count * dtype.itemsize > size - start:
+        msg = f"it claims shape {shape} of {dtype.name}, but {size - start} bytes follow"
         raise ValueError(msg)
-    flat = np.frombuffer(data, dtype, count, start)
+    content = file.read(count * dtype.itemsize)
+    if len(content) < count * dtype.itemsize:
+        msg = f"it ends after {len(content)} bytes of numbers, shape {shape} has more"
+        raise ValueError(msg)
+    flat = np.frombuffer(content, dtype) if count else np.empty(0, dtype)
     return flat.reshape(shape, order="F" if order else "C")
 
 
-def _header(data: bytes) -> tuple[dict[str, Any], int]:
+def _header(file: BinaryIO) -> tuple[dict[str, Any], int]:
     """Header dictionary, and where the numbers start."""
-    if not data.startswith(MAGIC) or len(data) < 12:
+    mark = file.read(8)
+    if not mark.startswith(MAGIC) or len(mark) < 8:
         msg = "it does not start like a .npy file"
         raise ValueError(msg)
-    wide = data[6] >= 2
-    (length,) = struct.unpack_from("<I" if wide else "<H", data, 8)
-    start = 8 + (4 if wide else 2)
-    if length > _MAX_HEADER or start + length > len(data):
+    width = 4 if mark[6] >= 2 else 2  # version 1 counts its header in two bytes
+    length = int.from_bytes(file.read(width), "little")
+    text = file.read(min(length, _MAX_HEADER))
+    if length > _MAX_HEADER or len(text) < length:
         msg = f"its header claims {length} bytes"
         raise ValueError(msg)
     try:
-        header = ast.literal_eval(data[start : start + length].decode("utf-8").strip())
+        header = ast.literal_eval(text.decode("utf-8").strip())
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:
         msg = "its header is damaged"
         raise ValueError(msg) from error
     if not isinstance(header, dict) or not {"descr", "fortran_order", "shape"} <= set(header):
         msg = "its header lacks descr, fortran_order or shape"
         raise ValueError(msg)
-    return header, start + length
+    return header, 8 + width + length

@@ -86,9 +86,6 @@ def read(path: Path | str, *, frame: int = 0, freq: float = 20e6) -> Capture:
     ):
         images, calibration = _images(container, frame), _attached(container)
     with parsing(path, "azure_mkv"):
-        if "DEPTH" not in images:
-            msg = f"it has no depth frame {frame}"
-            raise ValueError(msg)
         z_m = metres(images["DEPTH"], 1e-3, 0.0)
         camera, note = _camera(z_m.shape[1], z_m.shape[0], calibration, path)
         amplitude = images.get("IR")
@@ -114,7 +111,7 @@ def read(path: Path | str, *, frame: int = 0, freq: float = 20e6) -> Capture:
 
 
 def _images(container: Any, frame: int) -> dict[str, NDArray[Any]]:  # noqa: ANN401
-    """The frame-th packet of the depth and the infrared track, as images."""
+    """The frame-th depth image and the infrared image of the same exposure."""
     tracks = {
         stream.index: stream.metadata.get("title", "")
         for stream in container.streams.video
@@ -124,22 +121,29 @@ def _images(container: Any, frame: int) -> dict[str, NDArray[Any]]:  # noqa: ANN
         msg = "it has no track titled DEPTH, as Azure Kinect recordings have"
         raise ValueError(msg)
     wanted = [stream for stream in container.streams.video if stream.index in tracks]
-    seen = dict.fromkeys(tracks, -1)
-    images: dict[str, NDArray[Any]] = {}
+    latest: dict[str, Any] = {}
+    count = 0
     for packet in container.demux(wanted):
         if packet.size == 0:  # the end mark of a stream
             continue
-        index = packet.stream.index
-        seen[index] += 1
-        if seen[index] == frame:
-            images[tracks[index]] = _pixels(packet)
-        if len(images) == len(tracks):
-            break
-    return images
+        title = tracks[packet.stream.index]
+        if title == "IR" or count <= frame:
+            latest[title] = packet
+        count += title == "DEPTH"
+        # The two images of one exposure carry the same time, in either order.
+        complete = count > frame and len(latest) == len(set(tracks.values()))
+        if complete and len({each.pts for each in latest.values()}) == 1:
+            return {name: _pixels(each) for name, each in latest.items()}
+    msg = f"it has {count} depth frames; frame {frame} or its infrared image is missing"
+    raise ValueError(msg)
 
 
 def _pixels(packet: Any) -> NDArray[Any]:  # noqa: ANN401
-    width, height = packet.stream.width, packet.stream.height
+    codec = packet.stream.codec_context
+    if codec is None or codec.name != "rawvideo":
+        msg = "its depth or infrared track is not of uncompressed images"
+        raise ValueError(msg)
+    width, height = codec.width, codec.height
     if not 0 < width * height <= MAX_PIXELS or packet.size != 2 * width * height:
         msg = f"a frame of {width} x {height} has {packet.size} bytes, wanted uint16 pixels"
         raise ValueError(msg)

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toftools.io.readers._file import (
+    MAX_PIXELS,
     existing_file,
     metres,
     parsing,
-    read_bytes,
     sensor_of_size,
     single,
 )
@@ -35,7 +35,6 @@ from toftools.units import range_to_phase
 
 ANGLES_DEG = (0, 90, 180, 270)
 _MEMBER = re.compile(r"(?P<prefix>.*)_(phase(0|90|180|270)|dist|amp)_avg\.npy")
-_LIMIT = 1 << 28
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -153,8 +152,9 @@ def _sensor(width: int, height: int, freq: float, sign: int, offset_m: float) ->
 def _image(prefix: str, member: str) -> NDArray[np.float32]:
     path = existing_file(f"{prefix}_{member}_avg.npy")
     with parsing(path, "melexis_npy", OSError):
-        image = read_npy(read_bytes(path, limit=_LIMIT))
-        if image.ndim != 2 or image.dtype.kind == "c":
+        with path.open("rb") as file:
+            image = read_npy(file, path.stat().st_size)
+        if image.ndim != 2 or image.dtype.kind == "c" or not 0 < image.size <= MAX_PIXELS:
             msg = f"it must hold a real (H, W) image, got {image.dtype.name} {image.shape}"
             raise ValueError(msg)
         return single(image)

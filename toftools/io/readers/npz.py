@@ -11,17 +11,16 @@ is assumed. Objects are never unpickled.
 Source: this project.
 """
 
-import io
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toftools.camera import pinhole
-from toftools.io.readers._file import existing_file, metres, parsing, radial, read_bytes, single
+from toftools.io.readers._file import existing_file, metres, parsing, radial, single
 from toftools.io.readers._npy import read_npy
 from toftools.phasor import demodulate
 from toftools.types import Camera, Capture, DepthMap, Modulation, Phasors, Sensor, Taps, Truth
@@ -80,7 +79,7 @@ def read(
     """
     path = existing_file(path)
     with parsing(path, "npz", *_ZIP_ERRORS):
-        arrays = _arrays(read_bytes(path, limit=_LIMIT))
+        arrays = _arrays(path)
         shape = _frame_shape(arrays)
         camera, note = _camera(arrays, shape, hfov_deg)
         sensor = Sensor(camera, _modulation(arrays, freq), name="npz")
@@ -110,10 +109,10 @@ def read(
         )
 
 
-def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     """The known arrays, each claimed size checked before anything is inflated."""
     found = {}
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+    with zipfile.ZipFile(path) as archive:
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
             if key not in _KEYS:
@@ -122,7 +121,7 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
                 msg = f"{key} claims {info.file_size} bytes"
                 raise ValueError(msg)
             with archive.open(info) as member:
-                found[key] = read_npy(member.read(_LIMIT))
+                found[key] = read_npy(cast(BinaryIO, member), info.file_size)
     return found
 
 
