@@ -4,6 +4,7 @@ Layout (docs/conventions.md): attributes format, version, provenance; /sensor; a
 /phasors, /sigma, /valid, /depth, /truth, /reported. Written atomically; nothing is unpickled.
 """
 
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,13 +47,17 @@ def write_capture(path: Path | str, capture: Capture) -> None:
     """
     import h5py
 
-    with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
+    # In memory first: HDF5 itself crashes the process when the disk fills up under it.
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
         file.attrs.update(format=FORMAT, version=VERSION, provenance=_dump(capture.provenance))
         _write_sensor(file.create_group("sensor"), capture.sensor)
         for name, array, attrs in _arrays(capture):
             compress = _COMPRESSION if array.ndim else {}
             dataset = file.create_dataset(name, data=array, **compress)
             dataset.attrs.update(attrs)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(image.getbuffer())
 
 
 def _arrays(capture: Capture) -> list[tuple[str, np.ndarray[Any, Any], dict[str, str]]]:

@@ -1,0 +1,134 @@
+"""The command line as a user meets it: exit codes, one-sentence errors, JSON on stdout."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from toftools.cli import VERBS, main
+
+
+def run(*args):
+    done = subprocess.run([sys.executable, "-m", "toftools", *map(str, args)], capture_output=True,
+                          text=True, check=False)  # fmt: skip
+    return done.returncode, done.stdout, done.stderr
+
+
+def call(capsys, *args):
+    """The same in this process: fast, for the many cases."""
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in args])
+    out = capsys.readouterr()
+    return caught.value.code, out.out, out.err
+
+
+@pytest.fixture(scope="module")
+def capture_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cli") / "two.h5"
+    code, _, err = run("simulate", "two_returns:range=2", "--sensor", "opt8241:width=24,height=18",
+                       "--out", path, "--seed", 4)  # fmt: skip
+    assert code == 0, err
+    return path
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(capsys, verb):
+    code, out, _ = call(capsys, verb, "--help")
+    assert code == 0
+    assert "Usage: toftools" in out
+
+
+def test_version_and_unknown_verb(capsys):
+    code, out, _ = call(capsys, "--version")
+    assert (code, out.split()[0]) == (0, "toftools,")
+    code, _, err = call(capsys, "simulat")
+    assert code == 2
+    assert "simulat" in err
+
+
+def test_simulate_says_what_it_made_as_json(capsys, tmp_path):
+    code, out, _ = call(capsys, "simulate", "cavity:radius=2", "--no-noise", "--json", "--sensor",
+                        "deeptof:width=8,height=8", "--out", tmp_path / "c.h5")  # fmt: skip
+    assert code == 0
+    made = json.loads(out)
+    assert made["scene"] == "cavity"
+    assert made["seed"] is None
+
+
+@pytest.mark.parametrize("suffix", ["npz", "png", "ply", "h5"])
+def test_correct_writes_every_form(capsys, capture_file, tmp_path, suffix):
+    target = tmp_path / f"answer.{suffix}"
+    code, out, err = call(capsys, "correct", capture_file, "--method", "crt", "--out", target)
+    assert code == 0, err
+    assert "100.0% of pixels" in out
+    assert target.stat().st_size > 0
+
+
+def test_correct_json_and_answer_agree(capsys, capture_file, tmp_path):
+    target = tmp_path / "answer.npz"
+    code, out, _ = call(capsys, "correct", capture_file, "--method", "single:freq_index=1", "--out",
+                        target, "--json")  # fmt: skip
+    summary = json.loads(out)
+    with np.load(target, allow_pickle=False) as answer:
+        for key in ("range_m", "z_m", "sigma_m", "status"):
+            assert key in answer.files
+        assert summary["median_range_m"] == pytest.approx(float(np.nanmedian(answer["range_m"])))
+        assert (answer["z_m"] <= answer["range_m"]).all()
+    assert (code, summary["valid_share"]) == (0, 1.0)
+
+
+BAD = [
+    (["simulate", "korner", "--out", "x.h5"], "no closed form for scene 'korner'"),
+    (["simulate", "wall:colour=3", "--out", "x.h5"], "has no parameter 'colour'"),
+    (["simulate", "wall:range", "--out", "x.h5"], "wanted key=value"),
+    (["simulate", "wall", "--sensor", "nikon", "--out", "x.h5"], "unknown sensor 'nikon'"),
+    (["simulate", "wall", "--sensor", "deeptof:freqs=20", "--out", "x.h5"], "give Hz, not MHz"),
+    (["simulate", "wall", "--sensor", "deeptof:width=0", "--out", "x.h5"], "width and height"),
+    (["simulate", "wall", "--out", "no/such/folder/x.h5"], "choose a writable folder"),
+    (["simulate", "wall", "--engine", "magic", "--out", "x.h5"], "'magic' is not one of"),
+    (["correct", "missing.h5", "--out", "x.npz"], "missing.h5"),
+    (["correct", "CAPTURE", "--method", "nope", "--out", "x.npz"], "unknown name 'nope'"),
+    (["correct", "CAPTURE", "--method", "crt:foo=1", "--out", "x.npz"], "has no parameter 'foo'"),
+    (["correct", "CAPTURE", "--method", "a.b:c", "--out", "x.npz"], "cannot load method 'a.b:c'"),
+    (["correct", "CAPTURE", "--out", "x.xyz"], "x.xyz"),
+    (["correct", "CAPTURE"], "Missing option '--out'"),
+    (["bench", "nosuite", "--out", "b"], "no suite 'nosuite'; built in:"),
+    (["bench", "score", "."], "start with: toftools bench run"),
+    (["bench", "report", "."], "run: toftools bench score"),
+    (["convert", "missing.bin", "--out", "x.h5"], "missing.bin"),
+    (["inspect", "missing.bin"], "missing.bin"),
+    (["cloud", "missing.npz", "--out", "x.ply"], "missing.npz"),
+]
+
+
+@pytest.mark.parametrize(("args", "message"), BAD, ids=[" ".join(args) for args, _ in BAD])
+def test_bad_input_is_one_sentence_exit_code_two_and_no_file(
+    capsys, monkeypatch, tmp_path, capture_file, args, message
+):
+    monkeypatch.chdir(tmp_path)
+    args = [str(capture_file) if a == "CAPTURE" else a for a in args]
+    code, out, err = call(capsys, *args)
+    assert code == 2
+    assert message in err
+    assert "Traceback" not in err
+    assert out == ""
+    assert len([line for line in err.splitlines() if "rror" in line]) == 1
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_full_disk_leaves_nothing_behind(capture_file, tmp_path):
+    # A file size limit makes every write past 4 kB fail, as a full disk does.
+    code = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "from toftools.cli import main\n"
+        f"main(['simulate', 'wall', '--sensor', 'deeptof', '--out', r'{tmp_path / 'big.h5'}'])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode in (1, 2), done.stderr
+    assert "Traceback" not in done.stderr
+    assert "big.h5" in done.stderr
+    assert list(tmp_path.iterdir()) == []
