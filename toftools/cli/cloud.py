@@ -1,0 +1,165 @@
+"""``toftools cloud D|C.h5 --out x.ply|x.png|x.html``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from toftools.types import F32, Camera, Capture, DepthMap
+
+SUFFIXES = (".ply", ".png", ".html")
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--out", default=None, type=click.Path(path_type=Path, dir_okay=False),
+              help="Cloud (.ply), picture (.png), or page to turn and zoom (.html).")  # fmt: skip
+@click.option("--view", is_flag=True, help="Open it in a window.")
+@click.option("--truth", is_flag=True, help="Take the ground truth instead of the answer.")
+@click.option("--colour", "--color", type=click.Choice(["range", "amplitude"]), default="range",
+              show_default=True, help="What colours show.")  # fmt: skip
+@click.option("--capture", "camera_file", default=None, type=click.Path(path_type=Path),
+              help="Capture whose camera to use, for an answer without one.")  # fmt: skip
+@click.option("--format", "format_text", default=None, metavar="NAME[:k=v,...]",
+              help="Force a foreign input format.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print a summary as JSON.")
+def command(
+    *,
+    source: Path,
+    out: Path | None,
+    view: bool,
+    truth: bool,
+    colour: str,
+    camera_file: Path | None,
+    format_text: str | None,
+    as_json: bool,
+) -> None:
+    """Make a point cloud of an answer or a capture in SOURCE."""
+    import numpy as np
+
+    _check_wish(out, view)
+    depth, camera = _load(source, format_text, camera_file, truth)
+    if colour == "amplitude" and depth.amplitude is None:
+        msg = f"{source.name} holds no amplitude to colour by; use --colour range"
+        raise ValueError(msg)
+    if out is not None:
+        _write(out, depth, camera, colour, source.name)
+        count = int(np.isfinite(depth.range_m).sum())
+        summary = {"out": str(out), "points": count, "pixels": depth.range_m.size}
+        text = f"wrote {out}: {count} points of {depth.range_m.size} pixels"
+        click.echo(json.dumps(summary) if as_json else text)
+    if view:
+        from toftools.camera import points
+        from toftools.viz.cloud import show
+
+        show(points(camera, depth.range_m), _shades(depth)[colour], kind=colour)
+
+
+def _check_wish(out: Path | None, view: bool) -> None:
+    if out is None and not view:
+        msg = "nothing to do; give --out x.ply, x.png or x.html, or --view"
+        raise ValueError(msg)
+    if out is not None and out.suffix.lower() not in SUFFIXES:
+        msg = f"got the suffix {out.suffix or 'none'!r} in {out.name}; wanted {', '.join(SUFFIXES)}"
+        raise ValueError(msg)
+
+
+def _load(
+    source: Path, format_text: str | None, camera_file: Path | None, truth: bool
+) -> tuple[DepthMap, Camera]:
+    """The ranges to show and the camera that saw them."""
+    from toftools.io.open import open_capture
+
+    capture = open_capture(source, format_text)
+    depth = _truth(capture, source) if truth else _answer(capture, source)
+    if camera_file is not None:
+        camera = open_capture(camera_file).sensor.camera
+        if camera.shape != depth.range_m.shape:
+            msg = (
+                f"{camera_file.name} has {camera.shape} pixels, but {source.name} "
+                f"{depth.range_m.shape}; give the capture it was made from"
+            )
+            raise ValueError(msg)
+        return depth, camera
+    if format_text is None and _without_camera(capture):
+        msg = (
+            f"{source.name} holds no camera; give the capture it was made from as --capture C.h5, "
+            "or assume a field of view with --format npz:hfov_deg=60"
+        )
+        raise ValueError(msg)
+    return depth, capture.sensor.camera
+
+
+def _without_camera(capture: Capture) -> bool:
+    """Whether an archive came without intrinsics, so that its reader had to assume some."""
+    note = str(capture.provenance.get("camera", ""))
+    return capture.provenance.get("format") == "npz" and note.endswith("assumed")
+
+
+def _answer(capture: Capture, source: Path) -> DepthMap:
+    from dataclasses import replace
+
+    if capture.depth is None:
+        hint = ", or add --truth" if capture.truth is not None else ""
+        msg = (
+            f"{source.name} holds no depth; run `toftools correct {source.name} --out answer.npz` "
+            f"and make the cloud of that{hint}"
+        )
+        raise ValueError(msg)
+    if capture.depth.amplitude is not None:
+        return capture.depth
+    return replace(capture.depth, amplitude=_measured_amplitude(capture))
+
+
+def _truth(capture: Capture, source: Path) -> DepthMap:
+    from toftools.types import DepthMap
+
+    if capture.truth is None:
+        msg = f"{source.name} holds no ground truth; leave out --truth"
+        raise ValueError(msg)
+    return DepthMap(capture.truth.range_m, amplitude=_measured_amplitude(capture))
+
+
+def _measured_amplitude(capture: Capture) -> F32 | None:
+    """Amplitude of the first frequency, if anything but a depth was measured."""
+    import numpy as np
+
+    from toftools.phasor import phasors_of
+
+    if capture.phasors is None and capture.taps is None:
+        return None
+    return np.asarray(np.abs(phasors_of(capture).values[0]), dtype=np.float32)
+
+
+def _shades(depth: DepthMap) -> dict[str, F32]:
+    """What colours can show."""
+    shades = {"range": depth.range_m}
+    return shades if depth.amplitude is None else {**shades, "amplitude": depth.amplitude}
+
+
+def _write(out: Path, depth: DepthMap, camera: Camera, colour: str, title: str) -> None:
+    from toftools.camera import points
+    from toftools.io.atomic import atomic_path
+    from toftools.io.export import write_ply
+    from toftools.io.intrinsics import write_text
+
+    suffix = out.suffix.lower()
+    if suffix == ".ply":
+        write_ply(out, depth, camera)
+        return
+    cloud, shades = points(camera, depth.range_m), _shades(depth)
+    if suffix == ".png":
+        from toftools.viz.cloud import cloud_png
+
+        picture = cloud_png(cloud, shades[colour], title=title, kind=colour)
+        with atomic_path(out) as temporary:
+            temporary.write_bytes(picture)
+        return
+    from toftools.viz.web import cloud_html
+
+    ordered = {colour: shades[colour], **shades}
+    write_text(out, cloud_html(cloud, ordered, title=title))
