@@ -242,8 +242,10 @@ CALIBRATIONS = _table()
 CORRECTIONS = _table(
     single=Spec("toftools.correct.single:single"),
     crt=Spec("toftools.correct.crt:crt", grid={"max_range_m": (5.0, 10.0, 0.0)}),
-    residual_voting=Spec("toftools.correct.residual_voting:residual_voting"),
-    kde=Spec("toftools.correct.kde:kde", grid={"window_px": (3, 5, 7, 11)}),
+    residual_voting=Spec(
+        "toftools.correct.residual_voting:residual_voting", grid={"lax_rad": (0.35, 0.61, 1.2)}
+    ),
+    kde=Spec("toftools.correct.kde:kde", grid={"window_px": (3, 7, 11), "hypotheses": (2, 4)}),
     sra=Spec("toftools.correct.sra:sra", grid={"grid_m": (0.01, 0.02, 0.04)}),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
 )

@@ -145,7 +145,9 @@ def _sigma_m(
     """First-order noise of the average in turns: ``sqrt(sum var turns) / sum 1 / U_i``."""
     if sigma is None:
         return None
-    turns = sigma / np.maximum(amplitude, np.float32(1e-30)) / np.float32(TWO_PI)
+    # An amplitude of nothing is not kept; the floor only keeps it from overflowing.
+    turns = sigma / np.maximum(amplitude, np.float32(1e-6) * sigma + np.float32(1e-30))
+    turns /= np.float32(TWO_PI)
     sigma_m = np.sqrt((turns**2).sum(axis=0)) / (1 / ambiguity).sum()
     return np.where(kept, sigma_m, np.float32(np.nan))
 
