@@ -53,7 +53,8 @@ def cloud_html(
     chosen = np.arange(len(xyz))
     if len(xyz) > MAX_POINTS:
         # Evenly random, with a fixed seed: every n-th pixel would draw stripes.
-        chosen = np.sort(np.random.default_rng(0).choice(len(xyz), MAX_POINTS, replace=False))
+        rng = np.random.default_rng(0)
+        chosen = np.sort(rng.choice(len(xyz), MAX_POINTS, replace=False))
     xyz = xyz[chosen]
     low, span = xyz.min(axis=0), np.maximum(np.ptp(xyz, axis=0), 1e-9)
     inner = np.percentile(xyz, [1, 99], axis=0)  # stray points must not shrink the rest to a dot
