@@ -220,8 +220,9 @@ def _mean_coherence_without_each(
 def _verdict(
     coherence: float, margin: float, margin_se: float, expected: NDArray[np.float64]
 ) -> tuple[bool, str]:
-    spread = float(np.sqrt(-2 * np.log(np.clip(abs(np.exp(1j * expected).mean(axis=1)), 1e-12, 1)))
-                   .max())  # fmt: skip
+    # Circular standard deviation, sqrt(-2 ln R); abs() only turns -0 into 0.
+    length = np.clip(np.abs(np.exp(1j * expected).mean(axis=1)), 1e-12, 1.0)
+    spread = float(np.sqrt(np.abs(2 * np.log(length))).max())
     if margin >= MIN_MARGIN and margin >= MIN_MARGIN_SE * margin_se and coherence >= MIN_COHERENCE:
         return True, f"coherence {coherence:.4f}, ahead of the runner-up by {margin:.3f}"
     if coherence < MIN_COHERENCE:
