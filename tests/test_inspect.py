@@ -228,6 +228,15 @@ def test_a_reference_without_distances_is_refused():
         reference_range(wrong_capture(slope()), "c.h5")
 
 
+def test_a_capture_of_a_few_pixels_is_described_without_a_proposal(tmp_path):
+    sensor = Sensor(pinhole(3, 2, hfov_deg=60), Modulation(FREQS))
+    z, range_m = np.ones((2, 2, 3), np.complex64), np.full((2, 3), 1.0)
+    write_capture(tmp_path / "c.h5", Capture(sensor, phasors=Phasors(z), truth=Truth(range_m)))
+    found = json.loads(run(tmp_path / "c.h5", "--json"))
+    assert found["proposal"] is None
+    assert found["noise"]["estimated_m"] == [None, None]
+
+
 def test_an_undecided_proposal_is_not_offered_for_use(tmp_path):
     flat = np.full(SHAPE, 1.3)
     capture = wrong_capture(flat)

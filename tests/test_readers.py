@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 from pathlib import Path
 
 import foreign_files as foreign
@@ -97,6 +98,18 @@ def test_mat5_reader_agrees_with_scipy(dtype, compress, tmp_path):
     assert name == "wanted"
     assert (got == loadmat(path)["wanted"]).all()
     assert _mat5.first_name(path.read_bytes()) == "text"
+
+
+def test_mat5_of_a_big_endian_machine():
+    numbers = np.arange(6.0).reshape(2, 3)
+    pairs = [(6, struct.pack(">II", 6, 0)), (5, struct.pack(">2i", 2, 3)), (1, b"wanted"),
+             (9, numbers.astype(">f8").tobytes(order="F"))]  # fmt: skip
+    body = b"".join(
+        struct.pack(">II", kind, len(part)) + part + bytes(-len(part) % 8) for kind, part in pairs
+    )
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+    _, got = _mat5.read_array(head + struct.pack(">II", 14, len(body)) + body, "wanted")
+    assert (got == numbers).all()
 
 
 # melexis

@@ -59,14 +59,24 @@ def summary(capture: Capture, reference_m: F32 | None = None) -> dict[str, Any]:
         "provenance": dict(capture.provenance),
         "proposal": None,
     }
-    if reference_m is None:
-        reference_m = known_range
-    else:
+    if reference_m is not None:
+        best: Proposal | None = propose(capture, reference_m)
         what = "the reference file"
-    if reference_m is not None and (capture.taps is not None or capture.phasors is not None):
-        best = propose(capture, reference_m)
+    else:
+        best = _self_proposal(capture, known_range)
+    if best is not None:
         found["proposal"] = {**_proposal(best, what), "apply": _apply(best, capture)}
     return found
+
+
+def _self_proposal(capture: Capture, known_range: F32 | None) -> Proposal | None:
+    """The proposal against the capture's own distances, if they are enough to make one."""
+    if known_range is None or (capture.taps is None and capture.phasors is None):
+        return None
+    try:
+        return propose(capture, known_range)
+    except ValueError:  # too few common pixels: nobody asked, so nothing is wrong
+        return None
 
 
 def reference_range(capture: Capture, name: str = "the reference") -> F32:
