@@ -4,14 +4,17 @@ import ast
 import ctypes
 import importlib.metadata
 import importlib.util
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from toftools import _native
+from toftools.cli import doctor
 
 PACKAGE = Path(_native.__file__).parent
 linux = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the packages find their own")
@@ -161,3 +164,87 @@ def test_only_native_imports_mitsuba_and_open3d(path):
         for name in names:
             first = name.partition(".")[0]
             assert first not in ("mitsuba", "open3d"), f"{path.name}:{node.lineno} imports {name}"
+
+
+# --- toftools doctor ---------------------------------------------------------------------------
+
+
+def diagnose(*arguments: str) -> tuple[int, str]:
+    done = CliRunner().invoke(doctor.command, arguments, catch_exceptions=False,
+                              standalone_mode=False)  # fmt: skip
+    return done.return_value, done.stdout
+
+
+def test_doctor_finds_this_installation_sound():
+    status, text = diagnose("--json")
+    report = json.loads(text)
+    found = {check["name"]: check for check in report["checks"]}
+    assert status == 0, [check for check in report["checks"] if not check["ok"]]
+    assert report["ok"]
+    assert found["LLVM"]["facts"]["compiles"]
+    assert int(found["LLVM"]["facts"]["version"].partition(".")[0]) >= _native.LLVM_OLDEST
+    wanted = ["toftools", "Python", "NumPy", "SciPy", "Numba", "h5py", "OpenCV", "Open3D",
+              "Mitsuba", "Dr.Jit", "headless drawing", "threads", "TOFTOOLS_DATA", "torch",
+              "onnxruntime", "dask"]  # fmt: skip
+    assert set(wanted) <= set(found)
+
+
+def only(monkeypatch, *names: str) -> None:
+    """Leave out the checks that a test does not ask about, since each takes a second."""
+    everything = {"_library", "_llvm", "_open3d", "_rendering", "_data", "_optional"}
+    for name in everything - set(names):
+        empty = [] if name == "_llvm" else doctor.Check(name, True, "left out")
+        monkeypatch.setattr(doctor, name, lambda *_, given=empty: given)
+
+
+def test_doctor_survives_parts_that_abort_and_says_so(monkeypatch):
+    only(monkeypatch, "_llvm", "_open3d")
+    monkeypatch.setattr(doctor, "_LLVM_PROBE", "import os; os.abort()")
+    monkeypatch.setattr(doctor, "_OPEN3D_PROBE", "raise RuntimeError('no libusb here')")
+    status, text = diagnose()
+    lines = {line.split()[1]: line for line in text.splitlines() if len(line.split()) > 1}
+    assert status == 1
+    assert lines["LLVM"].startswith("MISSING")
+    assert "killed by signal 6" in lines["LLVM"]
+    assert "pip install karellen-llvm-core" in lines["LLVM"]
+    assert lines["Open3D"].startswith("MISSING  Open3D           no libusb here; pip install")
+    assert text.endswith("broken: LLVM, Open3D\n")
+
+
+def test_doctor_does_without_open3d_pictures_and_optional_packages(monkeypatch):
+    from toftools.viz import _process
+
+    def failing(*_args):
+        msg = "no EGL"
+        raise RuntimeError(msg)
+
+    only(monkeypatch, "_rendering", "_optional")
+    monkeypatch.setattr(_process, "draw", failing)
+    monkeypatch.setattr(doctor, "_OPTIONAL", (("no_such_package", "pip install it"),))
+    status, text = diagnose()
+    assert status == 0
+    assert "Open3D cannot (no EGL), so matplotlib draws clouds; on Linux install" in text
+    assert "absent   no_such_package  not installed; pip install it" in text
+
+
+def test_doctor_tells_a_library_that_cannot_be_imported():
+    check = doctor._library("no_such_module", ("no-such-wheel",), "Nothing")
+    assert not check.ok
+    assert check.line.endswith("No module named 'no_such_module'; pip install no-such-wheel")
+
+
+def test_doctor_counts_recordings(monkeypatch, tmp_path):
+    monkeypatch.setenv("TOFTOOLS_DATA", str(tmp_path / "nowhere"))
+    assert "is not a folder" in doctor._data().detail
+    monkeypatch.setenv("TOFTOOLS_DATA", str(tmp_path))
+    (tmp_path / "notes.txt").write_text("no recording")
+    assert doctor._data().facts["captures"] == 0
+
+    import numpy as np
+
+    np.savez(tmp_path / "a.npz", range_m=np.ones((4, 4)))
+    found = doctor._data()
+    assert found.facts["captures"] == 1
+    assert found.ok
+    monkeypatch.delenv("TOFTOOLS_DATA")
+    assert not doctor._data().ok
