@@ -82,7 +82,7 @@ def test_correct_json_and_answer_agree(capsys, capture_file, tmp_path):
 BAD = [
     (["simulate", "korner", "--out", "x.h5"], "no closed form for scene 'korner'"),
     (["simulate", "wall:colour=3", "--out", "x.h5"], "has no parameter 'colour'"),
-    (["simulate", "wall:range", "--out", "x.h5"], "wanted key=value"),
+    (["simulate", "wall:range=2,tilt", "--out", "x.h5"], "wanted key=value"),
     (["simulate", "wall", "--sensor", "nikon", "--out", "x.h5"], "unknown sensor 'nikon'"),
     (["simulate", "wall", "--sensor", "deeptof:freqs=20", "--out", "x.h5"], "give Hz, not MHz"),
     (["simulate", "wall", "--sensor", "deeptof:width=0", "--out", "x.h5"], "width and height"),
