@@ -89,6 +89,22 @@ def test_both_renderers_draw_the_cloud_where_the_view_puts_it(renderer, monkeypa
     assert drawn[40 + v[inside], u[inside]].mean() > 0.995
 
 
+@pytest.mark.parametrize("renderer", ["Open3D", "matplotlib"])
+@pytest.mark.parametrize("near_first", [True, False])
+def test_nearer_points_hide_farther_ones(renderer, near_first, monkeypatch):
+    if renderer == "matplotlib":
+        monkeypatch.setattr(_process, "draw", failing)
+    elif not headless_open3d():
+        pytest.skip("Open3D cannot draw on this machine (no EGL), which toftools doctor tells")
+    right, down, forward = oblique(np.eye(3), (100, 100)).extrinsic[:3, :3]
+    frame = [x * right + y * down for x in (-1, 1) for y in (-1, 1)]
+    pair = [-0.4 * forward, 0.4 * forward]  # one behind the other, on the axis of the view
+    order = slice(None) if near_first else slice(None, None, -1)
+    values = np.r_[0, 0, 1, 1, [0.0, 1.0][order]]
+    image = pixels(cloud_png(np.array(frame + pair[order]), values, size=(496, 412)))
+    np.testing.assert_allclose(image[212, 200], [68, 1, 84], atol=3)  # the low end of viridis
+
+
 def test_the_view_is_from_the_right_and_above():
     view = oblique(points(CAMERA, wall())[np.isfinite(wall())].astype(float), (600, 400))
     eye = -view.extrinsic[:3, :3].T @ view.extrinsic[:3, 3]

@@ -118,7 +118,7 @@ def prepare_libusb() -> str | None:
         candidates.append(str(Path(spec.origin).parent / "libusb-1.0.so"))
     for library in candidates:
         try:
-            # Global, so that Open3D's dependency of the same SONAME is met by what is loaded.
+            # What is loaded under the SONAME that Open3D asks for is not searched again.
             ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
         except OSError:
             continue
