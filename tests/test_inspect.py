@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from toftools.camera import pinhole
 from toftools.cli.inspect import command
-from toftools.io.convention import propose, steps_text
+from toftools.io.convention import _jackknife, propose, steps_text
 from toftools.io.export import write_answer
 from toftools.io.inspect import neighbour_noise, reference_range, summary
 from toftools.io.native import write_capture
@@ -114,6 +114,12 @@ def test_standard_error_of_the_offset_is_the_spread_of_the_offset():
     # Sum of 60 squares of t variables with 63 degrees: mean 60 * 63/61, variance about 2 * 60.
     score = (np.sum(np.square(scores)) - 62) / np.sqrt(2 * 60 * 1.1)
     assert abs(score) < 3.3
+
+
+def test_jackknife_of_a_mean_is_its_standard_error():
+    values = np.random.default_rng(8).normal(size=20)
+    without = (values.sum() - values) / 19
+    assert _jackknife(without) == pytest.approx(values.std(ddof=1) / np.sqrt(20), rel=1e-12)
 
 
 def test_standard_error_grows_with_the_correlation_of_residuals():

@@ -93,7 +93,8 @@ def test_mat5_reader_agrees_with_scipy(dtype, compress, tmp_path):
 
     array = np.arange(24).reshape(2, 3, 4).astype(dtype)
     path = tmp_path / "a.mat"
-    savemat(path, {"text": "x", "other": np.eye(2), "wanted": array}, do_compression=compress)
+    others = {f"other{n}": np.arange(n) for n in range(1, 9)}  # packed sizes that need padding
+    savemat(path, {"text": "x", **others, "wanted": array}, do_compression=compress)
     name, got = _mat5.read_array(path.read_bytes(), "wanted")
     assert name == "wanted"
     assert (got == loadmat(path)["wanted"]).all()

@@ -109,6 +109,17 @@ def test_flipped_header_bytes(base):
     check()
 
 
+def test_every_single_flipped_bit_of_a_png_is_noticed(tmp_path):
+    """Each chunk carries a checksum, so that nothing but an error can come of it."""
+    path = foreign.depth_png(tmp_path)
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        assert answer(path, "depth_png") is None, place
+
+
 def test_random_bytes_after_the_right_mark(base):
     _, text, path, whole = base
 
