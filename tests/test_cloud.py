@@ -198,6 +198,17 @@ def test_a_page_shows_a_fair_sample_of_a_large_cloud():
     assert len(page) < 700_000
 
 
+def test_amplitude_is_coloured_by_its_logarithm():
+    amplitude = np.r_[10.0, 100.0, 1000.0, 1e4, 1e5, 0.0, np.nan]
+    amplitude = np.r_[amplitude, np.full(500, 10.0), np.full(500, 1e5)]  # the two percentiles
+    channel = page_data(cloud_html(np.ones((1007, 3)), {"amplitude": amplitude}))["channels"]
+    codes = np.frombuffer(base64.b64decode(channel["amplitude"]["values"]), np.uint8)
+    # 254 steps over four decades, the first of them 1; zero at the low end, unknown is 0.
+    np.testing.assert_allclose(codes[:5], 1 + 63.5 * np.arange(5), atol=0.51)
+    assert codes[5:7].tolist() == [1, 0]
+    assert channel["amplitude"]["ticks"] == ["100000", "10000", "1000", "100", "10"]
+
+
 # --- command line ------------------------------------------------------------------------------
 
 

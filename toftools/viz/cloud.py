@@ -55,8 +55,8 @@ def cloud_png(
     xyz, shade = flat(points, values, kind)
     bar, head = 96, 40 if title else 12
     view = oblique(xyz, (size[0] - bar, size[1] - head))
-    ends = limits(shade)
-    colours = _colours(shade, *ends, kind)
+    norm = scale(shade, kind)
+    colours = _colours(shade, norm, kind)
     # Points just close the gaps of a surface that fills the picture, and are always to be seen.
     point_px = float(np.clip(np.sqrt(0.6 * view.size[0] * view.size[1] / len(xyz)), 2, 7))
     try:
@@ -65,7 +65,7 @@ def cloud_png(
     except RuntimeError as error:
         log.warning("drew the cloud with matplotlib, because Open3D failed: %s", error)
         picture = _draw_matplotlib(xyz, colours, view, point_px)
-    return _finish(picture, ends, title, kind, size)
+    return _finish(picture, norm, title, kind, size)
 
 
 def show(points: NDArray[Any], values: NDArray[Any], *, kind: str = "range") -> None:
@@ -88,7 +88,8 @@ def show(points: NDArray[Any], values: NDArray[Any], *, kind: str = "range") -> 
         If there is no display, or Open3D fails.
     """
     xyz, shade = flat(points, values, kind)
-    _process.show(xyz, _colours(shade, *limits(shade), kind), oblique(xyz, (1280, 800)), 2.0)
+    colours = _colours(shade, scale(shade, kind), kind)
+    _process.show(xyz, colours, oblique(xyz, (1280, 800)), 2.0)
 
 
 def flat(points: NDArray[Any], values: NDArray[Any], kind: str) -> tuple[F64, F64]:
@@ -128,29 +129,55 @@ def flat(points: NDArray[Any], values: NDArray[Any], kind: str) -> tuple[F64, F6
     return xyz[known], shade[known]
 
 
-def limits(values: F64) -> tuple[float, float]:
-    """Ends of a colour scale that nearly all values lie between.
+def scale(values: F64, kind: str) -> Any:  # noqa: ANN401 - matplotlib has no types
+    """Colour scale whose ends nearly all values lie between.
 
     Parameters
     ----------
     values : ndarray
         Values, NaN where unknown.
+    kind : str
+        ``range``, or ``amplitude``, which falls with the square of the range and gets a
+        logarithmic scale.
 
     Returns
     -------
-    tuple of float
-        Low and high, never equal.
+    matplotlib.colors.Normalize
+        Values to 0..1, clipped.
     """
-    known = values[np.isfinite(values)]
-    low, high = (float(end) for end in np.percentile(known, [1, 99])) if known.size else (0.0, 1.0)
-    return low, max(high, low + 1e-6 * max(abs(low), 1.0))
+    from matplotlib.colors import LogNorm, Normalize
+
+    known = values[np.isfinite(values) & ((kind == "range") | (values > 0))]
+    low, high = (float(end) for end in np.percentile(known, [1, 99])) if known.size else (1.0, 2.0)
+    high = max(high, low + 1e-6 * max(abs(low), 1.0))
+    return (Normalize if kind == "range" else LogNorm)(low, high, clip=True)
 
 
-def _colours(values: F64, low: float, high: float, kind: str) -> F64:
+def shares(values: F64, norm: Any) -> F64:  # noqa: ANN401
+    """Values on a colour scale.
+
+    Parameters
+    ----------
+    values : ndarray
+        Values, NaN where unknown.
+    norm : matplotlib.colors.Normalize
+        The scale.
+
+    Returns
+    -------
+    ndarray
+        0..1, NaN where unknown.
+    """
+    # What lies below the scale, zero on a logarithmic one included, gets its lower end.
+    inside = np.asarray(norm(np.fmax(values, norm.vmin)), dtype=np.float64)
+    return np.where(np.isfinite(values), inside, np.nan)
+
+
+def _colours(values: F64, norm: Any, kind: str) -> F64:  # noqa: ANN401
     """RGB (N, 3) in 0..1; grey where the value is unknown."""
     from matplotlib import colormaps
 
-    share = np.clip((values - low) / (high - low), 0, 1)
+    share = shares(values, norm)
     rgb = colormaps[MAPS[kind]](np.nan_to_num(share))[:, :3]
     return np.where(np.isfinite(share)[:, None], rgb, 0.6)
 
@@ -177,7 +204,7 @@ def _draw_matplotlib(points: F64, colours: F64, view: View, point_px: float) -> 
 
 def _finish(
     picture: NDArray[np.uint8],
-    ends: tuple[float, float],
+    norm: Any,  # noqa: ANN401
     title: str,
     kind: str,
     size: tuple[int, int],
@@ -185,7 +212,6 @@ def _finish(
     """The drawn cloud with its title and colour bar."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
     width, height = size
@@ -194,7 +220,7 @@ def _finish(
     figure.text(12 / width, 1 - 10 / height, title, fontsize=11.5, fontweight="bold",
                 va="top", color="#222")  # fmt: skip
     box = ((width - 84) / width, 0.2, 14 / width, 0.6)
-    mappable = ScalarMappable(Normalize(*ends), cmap=MAPS[kind])
+    mappable = ScalarMappable(norm, cmap=MAPS[kind])
     bar = figure.colorbar(mappable, cax=figure.add_axes(box))
     bar.outline.set(linewidth=0.6, edgecolor="#999")
     bar.ax.tick_params(labelsize=9, length=3, color="#666", labelcolor="#222")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toftools.viz._view import PITCH_DEG, YAW_DEG
-from toftools.viz.cloud import MAPS, flat, limits
+from toftools.viz.cloud import MAPS, flat, scale, shares
 
 MAX_POINTS = 60_000
 
@@ -80,15 +80,15 @@ def _channel(kind: str, shade: NDArray[np.float64]) -> dict[str, Any]:
     """One way to colour: values 1..255 (0 unknown), colour map, tick labels from the top."""
     from matplotlib import colormaps
 
-    low, high = limits(shade)
-    share = np.clip((shade - low) / (high - low), 0, 1)
+    norm = scale(shade, kind)
+    share = shares(shade, norm)
     codes = np.where(np.isfinite(share), 1 + np.round(np.nan_to_num(share) * 254), 0)
     table = np.round(colormaps[MAPS[kind]](np.linspace(0, 1, 256))[:, :3] * 255)
     return {
         "name": "range, m" if kind == "range" else kind,
         "values": _text(codes.astype(np.uint8)),
         "map": _text(table.astype(np.uint8)),
-        "ticks": [f"{value:.4g}" for value in np.linspace(high, low, 5)],
+        "ticks": [f"{float(f'{value:.4g}'):.10g}" for value in norm.inverse(np.linspace(1, 0, 5))],
     }
 
 
