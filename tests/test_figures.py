@@ -173,9 +173,9 @@ def test_every_setting_can_be_hovered_and_untimed_answers_are_dashed():
     tips = [title.text for title in root.iter(f"{SVG}title")]
     assert tips == [
         "a & b",
-        "camera: 30 mm, not timed",
-        "sra<1> grid_m=0.04: 1 ms, 20 mm",
-        "sra<1> grid_m=0.02: 10 ms, 10 mm",
+        "camera: 3 cm, not timed",
+        "sra<1> grid_m=0.04: 1 ms, 2 cm",
+        "sra<1> grid_m=0.02: 10 ms, 1 cm",
     ]
     dashed = [p for p in root.iter(f"{SVG}path") if p.get("stroke-dasharray") == "6 4"]
     assert len(dashed) == 1

@@ -181,7 +181,7 @@ def _timed_points(curve: Curve) -> tuple[NDArray[np.float64], list[str]]:
 
 def _errors(errors_m: NDArray[np.float64]) -> _Errors:
     """Axis for these errors; an exact zero stands half below the smallest positive one."""
-    unit, factor = ("mm", 1e3) if np.median(errors_m) < 0.1 else ("cm", 1e2)
+    unit, factor = ("mm", 1e3) if np.median(errors_m) < 0.01 else ("cm", 1e2)
     positive = errors_m[errors_m > 0]
     floor_m = float(positive.min()) / 2 if positive.size else 1e-6
     axis = log_axis(np.maximum(errors_m, floor_m) * factor, name=f"mean absolute error, {unit}")
