@@ -66,6 +66,15 @@ def test_correct_writes_every_form(capsys, capture_file, tmp_path, suffix):
     assert target.stat().st_size > 0
 
 
+@pytest.mark.parametrize("library", ["ros", "opencv", "open3d"])
+def test_inspect_prints_intrinsics_for_other_libraries(capsys, capture_file, library):
+    code, out, _ = call(capsys, "inspect", capture_file, "--intrinsics", library)
+    assert code == 0
+    assert "17.25" in out  # focal length: 230 px of the preset at 24 of 320 columns
+    if library != "ros":
+        json.loads(out)
+
+
 def test_correct_json_and_answer_agree(capsys, capture_file, tmp_path):
     target = tmp_path / "answer.npz"
     code, out, _ = call(capsys, "correct", capture_file, "--method", "single:freq_index=1", "--out",

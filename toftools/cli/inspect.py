@@ -1,9 +1,12 @@
 """``toftools inspect FILE [--json] [--reference D]``."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from toftools.types import Camera
 
 
 @click.command()
@@ -12,8 +15,17 @@ import click
               help="Distances of the same scene, to judge the convention by.")  # fmt: skip
 @click.option("--format", "format_text", default=None, metavar="NAME[:k=v,...]",
               help="Force a format and its convention; detected by default.")  # fmt: skip
+@click.option("--intrinsics", type=click.Choice(["ros", "opencv", "open3d"]), default=None,
+              help="Print only the camera, as a file of that library.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-def command(*, file: Path, reference: Path | None, format_text: str | None, as_json: bool) -> None:
+def command(
+    *,
+    file: Path,
+    reference: Path | None,
+    format_text: str | None,
+    intrinsics: str | None,
+    as_json: bool,
+) -> None:
     """Say what is in FILE: units, convention, noise, wraps."""
     import json
 
@@ -21,11 +33,21 @@ def command(*, file: Path, reference: Path | None, format_text: str | None, as_j
     from toftools.io.open import open_capture
 
     capture = open_capture(file, format_text)
+    if intrinsics is not None:
+        click.echo(_intrinsics(capture.sensor.camera, intrinsics), nl=False)
+        return
     reference_m = None
     if reference is not None:
         reference_m = reference_range(open_capture(reference), reference.name)
     found = summary(capture, reference_m)
     click.echo(json.dumps(found, default=str) if as_json else _text(found, file))
+
+
+def _intrinsics(camera: "Camera", library: str) -> str:
+    from toftools.io.intrinsics import open3d_json, opencv_json, ros_yaml
+
+    write = {"ros": ros_yaml, "opencv": opencv_json, "open3d": open3d_json}[library]
+    return write(camera).rstrip("\n") + "\n"
 
 
 def _text(found: dict[str, Any], path: Path) -> str:

@@ -110,7 +110,12 @@ def _write_sensor(group: Any, sensor: Sensor) -> None:  # noqa: ANN401 - h5py ha
     extra = {
         "name": sensor.name,
         "emitter_offset_m": list(sensor.emitter_offset_m),
-        "noise": {key: getattr(noise, key) for key in Noise.__dataclass_fields__},
+        # JSON has no infinity: a full well without limit is left out.
+        "noise": {
+            key: value
+            for key in Noise.__dataclass_fields__
+            if (value := getattr(noise, key)) != float("inf")
+        },
         "harmonics_re": harmonics.real.tolist(),
         "harmonics_im": harmonics.imag.tolist(),
     }

@@ -261,7 +261,7 @@ def _unit(largest_m: float, kind: str) -> tuple[str, float]:
     """Unit in which a length scale reads well, and metres to that unit."""
     if kind == "range" or largest_m >= 1.0:
         return "m", 1.0
-    return ("cm", 100.0) if largest_m >= 0.03 else ("mm", 1000.0)
+    return ("cm", 100.0) if largest_m >= 0.01 else ("mm", 1000.0)
 
 
 def _png(figure: Any) -> bytes:  # noqa: ANN401
