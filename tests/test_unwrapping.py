@@ -1,6 +1,5 @@
 """Unwrapping: kernels against slow twins, noise against bounds, published check values."""
 
-import importlib.util
 import os
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 import reference_unwrapping as reference
 
-from toftools.camera import points
 from toftools.correct import OK, REJECTED
 from toftools.correct._turns import turns
 from toftools.correct._wraps import plan, search
@@ -306,53 +304,6 @@ def test_density_is_a_confidence():
     assert ((depth.confidence >= 0) & (depth.confidence <= 1 + 1e-5)).all()
     kept = kde(preset(KINECT), threshold=0.4)(frame).info["status"] == OK
     assert np.array_equal(kept, depth.confidence >= 0.4)
-
-
-# --- The long-range benchmark -------------------------------------------------------------------
-
-
-def long_range():
-    path = Path(__file__).parents[1] / "benchmarks" / "long_range.py"
-    spec = importlib.util.spec_from_file_location("long_range", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_long_range_benchmark_runs(tmp_path, capsys):
-    arguments = ["--width", "64", "--height", "48", "--frames", "1", "--signal-e", "20000"]
-    long_range().main(["--out", str(tmp_path), *arguments])
-    text = (tmp_path / "long_range.md").read_text(encoding="utf-8")
-    assert text.strip() == capsys.readouterr().out.strip()
-    assert (tmp_path / "long_range.png").stat().st_size > 10_000
-    rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| ")]
-    cells = {(r[0].strip(), r[1].strip()): [float(c) for c in r[2:]] for r in rows[2:]}
-    assert cells["crt", "valid"][0] == 100
-    # Whatever the noise draws: voting drops most far pixels, and the neighbours bring many back.
-    assert cells["residual_voting", "valid"][3] < 50
-    assert cells["kde", "right, 1 % wrong"][3] > cells["crt", "right, 1 % wrong"][3]
-
-
-def test_long_range_hall_is_a_hall():
-    bench = long_range()
-    camera = preset("kinect2_nominal:width=64,height=48").camera
-    range_m, cosine, albedo = bench.hall(camera, n_pillars=0)
-    corner = points(camera, range_m).reshape(-1, 3)
-    # Every point lies on one of the five planes, none outside.
-    gap = np.abs(np.abs(corner) / bench.SHELL_M - 1).min(axis=1)
-    assert gap.max() < 1e-6
-    assert (np.abs(corner) <= bench.SHELL_M * (1 + 1e-6)).all()
-    assert np.allclose(cosine, (bench.SHELL_M / range_m[..., None])[
-        np.arange(48)[:, None], np.arange(64), np.abs(
-            np.abs(points(camera, range_m)) / bench.SHELL_M - 1).argmin(axis=-1)], rtol=1e-5)  # fmt: skip
-    with_pillars = bench.hall(camera)
-    assert (with_pillars[0] <= range_m + 1e-9).all()
-    assert 0.02 < (with_pillars[0] < range_m - 0.1).mean() < 0.5
-    assert with_pillars[0].max() < joint_ambiguity_m([80e6, 16e6, 120e6])
-    assert ((albedo > 0) & (albedo < 1)).all()
-    right = np.array([True, True, False, True])
-    assert bench.right_at(right, ~right, np.array([4.0, 3.0, 2.0, 1.0]), 0.1) == 0.5
-    assert bench.right_at(right, ~right, np.array([4.0, 3.0, 2.0, 1.0]), 0.3) == 0.75
 
 
 # --- Bad parameters -----------------------------------------------------------------------------
