@@ -1,12 +1,25 @@
-"""Slow, readable twins of the unwrapping kernels: float64, loops, every wrap vector tried."""
+"""Slow, readable twins of the unwrapping kernels (float64, loops, every wrap vector tried), and
+the planted frames they are compared on."""
 
 import itertools
 
 import numpy as np
 
+from toftools.sensors import sensor as preset
+from toftools.types import Phasors
 from toftools.units import ambiguity_m, range_to_phase, wrap_phase
 
 TURN = 2 * np.pi
+
+
+def planted(text, range_m, *, snr=20.0, seed=0, known=True):
+    """Lone returns with phasor noise of amplitude / snr; range_m (H, W)."""
+    freqs = preset(text).modulation.freqs_hz
+    rng = np.random.default_rng(seed)
+    values = np.exp(1j * range_to_phase(range_m, freqs[:, None, None]))
+    noise = rng.standard_normal((2, *values.shape)) / snr
+    sigma = np.full(values.shape, 1 / snr, np.float32) if known else None
+    return Phasors((values + noise[0] + 1j * noise[1]).astype(np.complex64), sigma)
 
 
 def weights(values, sigma, freqs_hz):
