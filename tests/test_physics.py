@@ -3,15 +3,8 @@
 import numpy as np
 import pytest
 
-from toftools.phasor import (
-    crlb_multi_range_m,
-    crlb_range_m,
-    crlb_returns_m,
-    demodulate,
-    fisher_phase_exact,
-    phase,
-    wrapped_range_m,
-)
+from toftools.crlb import crlb_multi_range_m, crlb_range_m, crlb_returns_m, fisher_phase_exact
+from toftools.phasor import demodulate, phase, wrapped_range_m
 from toftools.sensors import sensor
 from toftools.sim.analytic import SCENES, analytic
 from toftools.sim.dihedral import Wall, _gather, one_bounce

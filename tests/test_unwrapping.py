@@ -13,8 +13,9 @@ from toftools.correct._wraps import plan, search
 from toftools.correct.crt import crt
 from toftools.correct.kde import kde
 from toftools.correct.residual_voting import residual_voting
+from toftools.crlb import crlb_multi_range_m, crlb_range_m
 from toftools.io.open import open_capture
-from toftools.phasor import crlb_multi_range_m, crlb_range_m, demodulate
+from toftools.phasor import demodulate
 from toftools.sensors import sensor as preset
 from toftools.sim.noise import clean_taps, expose
 from toftools.types import Phasors

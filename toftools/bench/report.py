@@ -7,8 +7,8 @@ from typing import Any
 
 import jinja2
 
-from toftools.bench.plan import read_plan
 from toftools.bench.pictures import best_per_method, capture_pictures
+from toftools.bench.plan import read_plan
 from toftools.bench.score import read_rows
 from toftools.bench.table import Line, cells, groups, headings, label_of, number, summarise
 from toftools.io.atomic import atomic_path
@@ -149,9 +149,7 @@ def _coverage(rows: Sequence[Mapping[str, Any]], path: Path) -> str:
     return svg
 
 
-def _capture(
-    out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float
-) -> dict[str, Any]:
+def _capture(out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float) -> dict[str, Any]:
     pictures = capture_pictures(out, rows, max_range_m)
     for name, png in pictures.items():
         (out / "figures" / f"{rows[0]['capture_id']}-{name}.png").write_bytes(png)

@@ -1,0 +1,169 @@
+"""The camera side of the types: optics, modulation, electronics; no computation.
+
+Import these names from `toftools.types`, which holds all types together.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toftools._arrays import F64, expect_shape, frozen, set_fields
+from toftools.units import check_freqs
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Pinhole camera with OpenCV distortion; pixel centres lie at integer coordinates.
+
+    Parameters
+    ----------
+    width, height : int
+        Image size, px.
+    K : ndarray, (3, 3)
+        Intrinsic matrix, px.
+    dist : ndarray, (n,)
+        Distortion coefficients in OpenCV order, n in {0, 4, 5, 8, 12, 14}; empty for none.
+    """
+
+    width: int
+    height: int
+    K: F64
+    dist: F64 = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if not (0 < int(self.width) <= 65_536 and 0 < int(self.height) <= 65_536):
+            msg = f"width and height must be 1..65536 px, got {self.width} x {self.height}"
+            raise ValueError(msg)
+        K = frozen(self.K, np.float64, "K", 2)
+        expect_shape("K", K, (3, 3))
+        if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or abs(K[2, 2] - 1) > 1e-9:
+            msg = f"K must be finite with positive focal lengths and K[2,2] = 1, got {K.tolist()}"
+            raise ValueError(msg)
+        dist = np.asarray(self.dist, dtype=np.float64).reshape(-1).view()
+        dist.flags.writeable = False
+        if dist.size not in (0, 4, 5, 8, 12, 14) or not np.isfinite(dist).all():
+            msg = f"dist must hold 0, 4, 5, 8, 12 or 14 finite coefficients, got {dist.tolist()}"
+            raise ValueError(msg)
+        set_fields(self, width=int(self.width), height=int(self.height), K=K, dist=dist)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Image shape (height, width)."""
+        return self.height, self.width
+
+
+@dataclass(frozen=True, eq=False)
+class Modulation:
+    """What the light source and the pixel do: frequencies, tap steps, correlation shape.
+
+    Parameters
+    ----------
+    freqs_hz : ndarray, (F,)
+        Modulation frequencies, Hz.
+    steps_rad : ndarray, (K,) or (F, K)
+        Reference phase of each tap, rad; kept as (F, K).
+    harmonics : ndarray, (F, M)
+        Complex harmonics of the correlation function relative to the first, which is 1: tap k
+        is ``B + sum_m |h_m| A_m cos(m (phi - step_k) + arg h_m)``. Default: pure sine.
+    """
+
+    freqs_hz: F64
+    steps_rad: F64 = field(default_factory=lambda: np.arange(4, dtype=np.float64) * (np.pi / 2))
+    harmonics: NDArray[np.complex128] | None = None
+
+    def __post_init__(self) -> None:
+        freqs = frozen(check_freqs(self.freqs_hz), np.float64, "freqs_hz", 1)
+        steps = np.asarray(self.steps_rad, dtype=np.float64)
+        if steps.ndim == 1:
+            steps = np.broadcast_to(steps, (freqs.size, steps.size))
+        steps = frozen(steps, np.float64, "steps_rad", 2)
+        if steps.shape[0] != freqs.size or steps.shape[1] < 3 or not np.isfinite(steps).all():
+            msg = (
+                f"steps_rad must be (K,) or ({freqs.size}, K) finite radians with K >= 3 taps, "
+                f"got shape {np.shape(self.steps_rad)}"
+            )
+            raise ValueError(msg)
+        harmonics = np.ones((freqs.size, 1)) if self.harmonics is None else self.harmonics
+        harmonics = frozen(harmonics, np.complex128, "harmonics", 2)
+        if harmonics.shape[0] != freqs.size or not np.allclose(harmonics[:, 0], 1.0):
+            msg = f"harmonics must be ({freqs.size}, M) with first column 1, got {harmonics.shape}"
+            raise ValueError(msg)
+        set_fields(self, freqs_hz=freqs, steps_rad=steps, harmonics=harmonics)
+
+    @property
+    def n_freqs(self) -> int:
+        """Number of frequencies F."""
+        return int(self.freqs_hz.size)
+
+    @property
+    def n_taps(self) -> int:
+        """Number of taps K per frequency."""
+        return int(self.steps_rad.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Pixel electronics, per tap and exposure.
+
+    Parameters
+    ----------
+    read_e : float
+        Read noise, standard deviation, electrons.
+    full_well_e : float
+        Charge at which a tap saturates, electrons.
+    dn_per_e : float or None
+        Conversion gain, digital numbers per electron; None keeps taps in electrons. Needed to
+        predict the shot noise of taps given in DN.
+    contrast : float
+        Demodulation contrast A / B of a lone direct return, 0..1.
+    signal_e : float
+        Mean charge B per tap from a white, fronto-parallel surface at 1 m, electrons.
+    """
+
+    read_e: float = 0.0
+    full_well_e: float = float("inf")
+    dn_per_e: float | None = None
+    contrast: float = 0.8
+    signal_e: float = 20_000.0
+
+    def __post_init__(self) -> None:
+        gain = 1.0 if self.dn_per_e is None else self.dn_per_e
+        if not (self.read_e >= 0 and self.full_well_e > 0 and gain > 0 and self.signal_e > 0):
+            msg = f"noise terms must be positive (read_e may be zero), got {self}"
+            raise ValueError(msg)
+        if not 0 < self.contrast <= 1:
+            msg = f"contrast must be in (0, 1], got {self.contrast}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A ToF camera: optics, modulation, electronics and where its light sits.
+
+    Parameters
+    ----------
+    camera : Camera
+        Optics.
+    modulation : Modulation
+        Frequencies and taps.
+    noise : Noise
+        Electronics.
+    emitter_offset_m : tuple of 3 floats
+        Emitter position in the camera frame (x right, y down, z forward), m.
+    name : str
+        Label used in files and reports.
+    """
+
+    camera: Camera
+    modulation: Modulation
+    noise: Noise = field(default_factory=Noise)
+    emitter_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    name: str = "custom"
+
+    def __post_init__(self) -> None:
+        offset = tuple(float(x) for x in self.emitter_offset_m)
+        if len(offset) != 3 or not np.isfinite(offset).all():
+            msg = f"emitter_offset_m must be three finite metres, got {self.emitter_offset_m}"
+            raise ValueError(msg)
+        set_fields(self, emitter_offset_m=offset)
