@@ -13,6 +13,7 @@ from toftools.correct._wraps import plan, search
 from toftools.correct.crt import crt
 from toftools.correct.kde import kde
 from toftools.correct.residual_voting import residual_voting
+from toftools.correct.single import single
 from toftools.crlb import crlb_multi_range_m, crlb_range_m
 from toftools.io.open import open_capture
 from toftools.phasor import demodulate
@@ -168,6 +169,33 @@ def test_crt_confidence_ranks_wrong_wraps_last(known):
     assert 0.1 < wrong.mean() < 0.6
     # Chance would leave the overall rate in the better half.
     assert best_half < (0.1 if known else 0.4) * wrong.mean()
+
+
+def test_crt_confidence_ranks_multipath_by_its_residual():
+    text, shape = KINECT, (60, 80)
+    freqs, rng = preset(text).modulation.freqs_hz[:, None, None], np.random.default_rng(13)
+    truth, extra, ratio = (rng.uniform(lo, hi, shape) for lo, hi in ((0.5, 9), (0.3, 3), (0, 0.6)))
+    frame = planted(text, truth, snr=20.0)
+    second = ratio * np.exp(1j * range_to_phase(truth + extra, freqs))
+    frame = Phasors((frame.values + second).astype(np.complex64), frame.sigma)
+    depth = crt(preset(text))(frame)
+    error = np.abs(depth.range_m - truth).reshape(-1)
+
+    def area(trust):
+        return (np.cumsum(error[np.argsort(-trust)]) / np.arange(1, error.size + 1)).mean()
+
+    found = search(frame, plan(preset(text), 0, least_freqs=1, method="x"), top=2)
+    margin = (found.cost[1] - found.cost[0]).reshape(-1)
+    chance = area(rng.random(error.size))
+    assert area(depth.confidence.reshape(-1)) < 0.9 * area(margin) < 0.9 * chance
+
+
+def test_one_frequency_stays_below_its_ambiguity():
+    # A phase of minus nothing is a whole turn in float32; the interval is half open.
+    almost = np.exp(-1j * np.geomspace(1e-9, 1e-6, 20)).astype(np.complex64)
+    depth = single(preset("deeptof"))(Phasors(almost[None, None]))
+    assert (depth.range_m < ambiguity_m(20e6)).all()
+    assert depth.range_m.max() > ambiguity_m(20e6) - 1e-5
 
 
 # --- Published frames ---------------------------------------------------------------------------

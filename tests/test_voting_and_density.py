@@ -94,3 +94,15 @@ def test_density_is_a_confidence():
     assert ((depth.confidence >= 0) & (depth.confidence <= 1 + 1e-5)).all()
     kept = kde(preset(KINECT), threshold=0.4)(frame).info["status"] == OK
     assert np.array_equal(kept, depth.confidence >= 0.4)
+
+
+def test_noisy_pixels_speak_softly():
+    # Equation 23: at SNR 1 the phase noise of 1 rad weighs exp(-3 / (2 s2)), before any residual.
+    truth = np.full((9, 9), 5.0)
+    loud, soft = (planted(KINECT, truth, snr=snr, seed=3) for snr in (100.0, 1.0))
+    for frame, least, most in ((loud, 0.999, 1.001), (soft, 0.0, 0.7)):
+        usual, strict = (
+            kde(preset(KINECT), threshold=0.0, phase_scale=s2)(frame).confidence.mean()
+            for s2 in (3.0, 0.3)
+        )
+        assert least <= strict / usual <= most
