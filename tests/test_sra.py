@@ -185,7 +185,7 @@ def test_two_frequencies_within_a_turn_remove_multipath():
     z, truth = two(2000, near=(0.5, 2.0), noise=0.01)
     plain = np.abs(crt(CAMERA, max_range_m=4.0)(frame(z)).range_m[0] - truth)
     sparse = np.abs(table(4.0)(frame(z)).range_m[0] - truth)
-    # Measured: 6.3 cm to 1.3 cm median, 19.9 to 7.3 cm at the 90th percentile.
+    # Measured: 9.3 to 1.3 cm median, 23 to 7.4 cm at the 90th percentile.
     assert np.median(sparse) < np.median(plain) / 3
     assert np.percentile(sparse, 90) < np.percentile(plain, 90) / 2
 
@@ -219,7 +219,7 @@ def test_noise_breaks_lone_returns_at_a_low_threshold():
     z = z.astype(np.complex64)
     answers = [look_up(z, np.ones(5000, bool), made, share)[0] for share in (0.01, 0.05)]
     wrong = [np.mean(np.abs(off(answer, truth)) > 0.5) for answer in answers]
-    # Measured 8 % and 0.2 %.
+    # Measured 9 % and 0.4 %.
     assert wrong[1] < 0.01 < 0.05 < wrong[0] < 0.12
 
 
@@ -238,13 +238,20 @@ def test_a_lone_return_comes_back_much_better_than_the_grid(make, max_range_m):
     assert (depth.info["returns"] == 1).all()
 
 
-@pytest.mark.parametrize("text", ["pmd", "opt8241:freqs=198e6+189e6", "opt8241:freqs=70e6+40e6",
-                                  "opt8241:freqs=100e6+20e6"])  # fmt: skip
-def test_other_pairs_of_frequencies(text):
+@pytest.mark.parametrize(
+    ("text", "grid_m", "limit_m"),
+    [
+        ("pmd", 0.04, 1.5),
+        ("opt8241:freqs=70e6+40e6", 0.04, 1.5),
+        ("opt8241:freqs=100e6+20e6", 0.04, 1.5),
+        ("opt8241:freqs=198e6+189e6", 0.01, 3.0),  # wrong by a wrap if lone returns miss the nodes
+    ],
+)
+def test_other_pairs_of_frequencies(text, grid_m, limit_m):
     freqs = sensor(text).modulation.freqs_hz
-    truth = np.linspace(0.0, 1.4, 500)
-    for max_range_m in (0.0, 1.5):
-        depth = table(max_range_m, text=text, grid_m=0.04)(frame(returns([truth], 1.0, freqs)))
+    truth = np.linspace(0.0, limit_m - 0.1, 500)
+    for max_range_m in (0.0, limit_m):
+        depth = table(max_range_m, text=text, grid_m=grid_m)(frame(returns([truth], 1.0, freqs)))
         assert np.abs(depth.range_m[0] - truth).max() < 3e-4
 
 

@@ -27,11 +27,15 @@ When it fails; figures for two returns 0.3..2 m apart, ratios 0.05..0.8, phasor 
 
 - Two frequencies over their whole joint ambiguity do not identify two returns: other returns,
   several wraps apart, explain them with a smaller total amplitude. At 40/70 MHz the median error
-  is 14 cm, against 6 cm of the mean phase with the right wraps. With ``max_range_m = 4`` it is
-  1.3 cm; three frequencies (20/50/70 MHz) reach 0.8 cm without a limit.
-- The limit must hold: light from beyond it comes back as a wrong range, not as a missing one.
-- Noise makes small false returns, and the nearest wins. At an amplitude of 50 sigma, 8 % of lone
-  returns get one of more than 1 % of the strongest; ``first_share = 0.05`` leaves 0.2 %.
+  is 14 cm, and 15 % are more than 0.5 m off, when the first return lies within 4 m; the mean
+  phase has 6 cm with the right wraps, and finds the wrong ones in 26 %. With
+  ``max_range_m = 4`` it is 1.3 cm (0.5 cm at ``epsilon = 0.01``); three frequencies reach
+  0.9 cm (20/50/70 MHz) without a limit.
+- The limit must hold: light from beyond it comes back as a wrong range, not as a missing one. And
+  it helps only near one turn of the lower frequency: 5 m is worse than no limit.
+- Noise makes small false returns, and the nearest wins. At an amplitude of 50 sigma, 9 % of lone
+  returns have one of more than 1 % of the strongest; ``first_share = 0.05`` leaves 0.4 %. At 20
+  sigma it is 27 and 13 %: epsilon must cover the noise.
 - Amplitudes that do depend on frequency (unit phasors, uncalibrated contrast) break the model;
   what remains is a robust unwrapping.
 """
