@@ -246,7 +246,9 @@ CORRECTIONS = _table(
         "toftools.correct.residual_voting:residual_voting", grid={"lax_rad": (0.35, 0.61, 1.2)}
     ),
     kde=Spec("toftools.correct.kde:kde", grid={"window_px": (3, 7, 11), "hypotheses": (2, 4)}),
-    sra=Spec("toftools.correct.sra:sra", grid={"grid_m": (0.01, 0.02, 0.04)}),
+    sra=Spec(
+        "toftools.correct.sra:sra", grid={"max_range_m": (4.0, 0.0), "first_share": (0.01, 0.05)}
+    ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
 )
 METRICS = _table(

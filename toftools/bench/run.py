@@ -140,6 +140,8 @@ def _run(
         "result": str(target),
     }
     environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, str(threads))}
+    # Threads that spin while they wait make every figure depend on what else the machine does.
+    environment.setdefault("OMP_WAIT_POLICY", "passive")
     # A user's own method is importable from where the command was typed.
     environment["PYTHONPATH"] = os.pathsep.join(
         filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH", "")])

@@ -50,7 +50,7 @@ def sra(
     *,
     grid_m: float = 0.01,
     epsilon: float = 0.05,
-    first_share: float = 0.01,
+    first_share: float = 0.05,
     max_range_m: float = 0.0,
 ) -> Callable[[Phasors], DepthMap]:
     """First of the fewest returns that explain each pixel, from a table.

@@ -23,7 +23,8 @@ return costs ``1 - 0.001 s^2``, s in [-1, 1] its agreement with the measured pha
 such ties in favour of a strong main return, and changes the optimum by 0.1 % at most. For the
 same reason the grid starts, pixel by pixel, at the range that the first frequency reads.
 
-When it fails; figures for two returns 0.3..2 m apart, ratios 0.05..0.8, phasor noise 1 %:
+When it fails; figures for two returns 0.3..2 m apart, ratios 0.05..0.8, phasor noise 1 %, and
+``first_share = 0.01`` as in the MATLAB code of Su et al. (the default here is 0.05):
 
 - Two frequencies over their whole joint ambiguity do not identify two returns: other returns,
   several wraps apart, explain them with a smaller total amplitude. At 40/70 MHz the median error
@@ -64,7 +65,7 @@ def sra_lp(
     *,
     grid_m: float = 0.01,
     epsilon: float = 0.05,
-    first_share: float = 0.01,
+    first_share: float = 0.05,
     max_range_m: float = 0.0,
 ) -> Callable[[Phasors], DepthMap]:
     """First of the fewest returns that explain each pixel, by linear programming.
