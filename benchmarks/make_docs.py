@@ -12,7 +12,8 @@ import json
 import re
 from pathlib import Path
 
-from toftools.bench.table import groups, markdown_table, summarise
+from toftools.bench.render import markdown_table
+from toftools.bench.table import groups, summarise
 from toftools.registry import CORRECTIONS, METRICS, READERS, SIMULATORS, parameters_of
 from toftools.sensors import PRESETS, SOURCES
 from toftools.sim.analytic import SCENES
@@ -31,10 +32,14 @@ def dials(make):
     return ", ".join(f"`{key}={value}`" for key, value in parameters_of(make).items()) or "none"
 
 
+def module_of(spec):
+    return importlib.import_module(spec.target.partition(":")[0])
+
+
 def method_sections(table):
     for name, spec in table.items():
         make = spec.load()
-        header = inspect.getdoc(importlib.import_module(spec.target.partition(":")[0]))
+        header = inspect.getdoc(module_of(spec))
         grid = ", ".join(f"`{key}` {list(values)}" for key, values in spec.grid.items())
         yield f"### `{name}`\n\n{header}\n\n- Parameters: {dials(make)}"
         if grid:
@@ -49,8 +54,8 @@ def rows(table, head):
 def methods_md():
     metrics = [(f"`{n}`", s.unit or "1", s.better, first_sentence(s.load()))
                for n, s in METRICS.items()]  # fmt: skip
-    readers = [(f"`{n}`", dials(s.load()), first_sentence(
-        importlib.import_module(s.target.partition(":")[0]))) for n, s in READERS.items()]  # fmt: skip
+    readers = [(f"`{n}`", dials(s.load()), first_sentence(module_of(s)))
+               for n, s in READERS.items()]  # fmt: skip
     parts = [
         "# Methods\n\nMade by `python benchmarks/make_docs.py` from the registry; do not edit.",
         "## Corrections\n\nA correction turns phasors into a depth map.",
@@ -62,8 +67,8 @@ def methods_md():
                        ("scene", "parameters", "what"))),
         "## Sensors\n",
         "\n".join(rows([(f"`{n}`", SOURCES[n]) for n in PRESETS], ("preset", "source"))),
-        "Read noise 20 e-, full well 150 000 e-, contrast 0.8 and signal 20 000 e- at 1 m are assumed "
-        "for every preset: makers do not publish them.",
+        "Read noise 20 e-, full well 150 000 e-, contrast 0.8 and signal 20 000 e- at 1 m are "
+        "assumed for every preset: makers do not publish them.",
         "## Readers\n",
         "\n".join(rows(readers, ("format", "parameters", "what"))),
         "## Metrics\n",
@@ -93,8 +98,16 @@ def replace_block(text, name, block):
 def take_results(folder):
     """Keep what tables need; curves stay in the run's folder."""
     RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    shown = ("mae_m", "median_m", "p95_m", "bias_m", "under_1cm", "wrap_share", "valid_share",
-             "coherence")
+    shown = (
+        "mae_m",
+        "median_m",
+        "p95_m",
+        "bias_m",
+        "under_1cm",
+        "wrap_share",
+        "valid_share",
+        "coherence",
+    )
     lines = []
     for line in (folder / "results.jsonl").read_text().splitlines():
         row = json.loads(line)

@@ -13,10 +13,11 @@ import pytest
 
 from toftools.bench.plan import Point, make_plan, read_plan
 from toftools.bench.references import oracle_wrap, reported
+from toftools.bench.render import markdown_table, text_table
 from toftools.bench.run import is_finished, read_result, run_points
 from toftools.bench.score import read_rows, score, uncorrected
 from toftools.bench.suite import built_in, load_suite, points
-from toftools.bench.table import label_of, markdown_table, summarise, text_table
+from toftools.bench.table import label_of, summarise, unsuited
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
 from toftools.types import Capture, Scene, Shot
@@ -185,8 +186,12 @@ def test_tables_have_the_input_first_and_every_label(finished):
     assert lines[0].label.startswith("input")
     text, markdown = text_table(lines), markdown_table(lines)
     for row in rows:
-        assert label_of(row) in text
-        assert f"`{label_of(row)}`" in markdown
+        listed = row["status"] != "unsuited"
+        assert (label_of(row) in text) == listed
+        assert (f"`{label_of(row)}`" in markdown) == listed
+    assert unsuited(rows) == [
+        "planted:wants_three does not apply here: got 2 frequencies, wanted 3"
+    ]
     assert "ZeroDivisionError: planted" in text
     widths = {line.count("|") for line in markdown.splitlines()}
     assert len(widths) == 1
@@ -198,7 +203,7 @@ def test_report_is_one_file_without_network(finished):
     out, *_ = finished
     page = report(out).read_text()
     assert page.count("<svg") >= 1
-    assert "data:image/png;base64," in page
+    assert "data:image/webp;base64," in page
     assert "ZeroDivisionError: planted" in page
     body = page.replace("http://www.w3.org/", "")
     assert "http://" not in body
@@ -261,3 +266,15 @@ def test_reference_rows_see_truth_and_published_output():
 def test_keys_depend_on_capture_method_and_parameters():
     made = [("a", "m", {}), ("b", "m", {}), ("a", "n", {}), ("a", "m", {"k": 1})]
     assert len({Point(*args).key for args in made}) == 4
+
+
+def test_a_mean_over_captures_without_an_answer_is_not_compared():
+    def row(capture, mae_m):
+        return {"method": "m", "params": {}, "status": "ok", "capture": capture, "ms": 1.0,
+                "metrics": {"mae_m": mae_m, "input_mae_m": 0.2}}  # fmt: skip
+
+    whole = summarise([row("a", 0.1), row("b", 0.3)])[1]
+    part = summarise([row("a", 0.1), row("b", None)])[1]
+    assert whole.complete
+    assert not part.complete
+    assert part.note == "no answer on 1 of 2 captures"

@@ -1,6 +1,7 @@
 """Milliseconds per 320 x 240 frame of every unwrapping method, and of crt in plain numpy.
 
-python -m pytest benchmarks/kernels/test_unwrapping_speed.py -p no:dash -o addopts="" --benchmark-only
+python -m pytest benchmarks/kernels/test_unwrapping_speed.py \\
+    -p no:dash -o addopts="" --benchmark-only
 """
 
 import sys

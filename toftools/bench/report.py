@@ -1,6 +1,7 @@
 """Last stage: ``DIR/results.jsonl`` to one self-contained ``DIR/report.html`` and its figures."""
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ import jinja2
 
 from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.plan import read_plan
+from toftools.bench.render import cells, headings, number
 from toftools.bench.score import read_rows
-from toftools.bench.table import Line, cells, groups, headings, label_of, number, summarise
+from toftools.bench.table import Line, groups, label_of, summarise, unsuited
 from toftools.io.atomic import atomic_path
 from toftools.registry import METRICS
 from toftools.viz.figures import Coverage, Curve, coverage_svg, pareto_svg
@@ -52,7 +54,7 @@ def report(out: Path) -> Path:
         counts=_counts(rows),
         machine=timed[0]["machine"] if timed else {},
         versions=timed[0]["versions"] if timed else {},
-        problems=[row for row in rows if row["status"] != "ok"],
+        problems=[row for row in rows if row["status"] not in ("ok", "unsuited")],
         label_of=label_of,
     )
     target = out / "report.html"
@@ -83,7 +85,7 @@ def _group(
         "name": name,
         "against": str(rows[0]["against"]),
         "table": _table(lines),
-        "notes": [f"{line.label}: {line.note}" for line in lines if line.note],
+        "notes": [*(f"{line.label}: {line.note}" for line in lines if line.note), *unsuited(rows)],
         "pareto": _pareto(lines, name, out / "figures" / f"pareto-{slug}.svg") if scored else "",
         "coverage": _coverage(rows, out / "figures" / f"coverage-{slug}.svg") if scored else "",
         "captures": [_capture(out, mine, max_range_m) for mine in captures.values()],
@@ -92,14 +94,15 @@ def _group(
 
 def _table(lines: Sequence[Line]) -> dict[str, Any]:
     many = max((len(line.per_capture) for line in lines), default=0) > 1
-    best = min((line.metrics.get("mae_m", 1e9) for line in lines if line.timed), default=None)
+    best = min((line.metrics["mae_m"] for line in lines if line.timed and line.complete),
+               default=None)  # fmt: skip
     return {
         "head": headings(per_capture=many),
         "rows": [
             {
                 "cells": [line.label, *cells(line, per_capture=many)],
                 "kind": "timed" if line.timed else "reference",
-                "best": line.timed and line.metrics.get("mae_m") == best,
+                "best": line.timed and line.complete and line.metrics["mae_m"] == best,
             }
             for line in lines
         ],
@@ -109,18 +112,14 @@ def _table(lines: Sequence[Line]) -> dict[str, Any]:
 def _pareto(lines: Sequence[Line], title: str, path: Path) -> str:
     curves: dict[str, list[Line]] = {}
     for line in lines:
-        if line.per_capture:
+        if line.complete:
             curves.setdefault(line.method if line.timed else line.label, []).append(line)
     drawn = [
         Curve(
             name="uncorrected input" if name.startswith("input") else name,
             ms=[line.ms for line in mine],
             mae_m=[line.metrics.get("mae_m", float("nan")) for line in mine],
-            labels=[
-                f"{line.label}: MAE {number(line.metrics.get('mae_m'), 100)} cm, "
-                f"{number(line.ms)} ms"
-                for line in mine
-            ],
+            labels=[_tooltip(line) for line in mine],
             timed=mine[0].timed,
         )
         for name, mine in curves.items()
@@ -128,6 +127,12 @@ def _pareto(lines: Sequence[Line], title: str, path: Path) -> str:
     svg = pareto_svg(drawn, title=f"Speed against accuracy: {title}")
     path.write_text(svg, encoding="utf-8")
     return svg
+
+
+def _tooltip(line: Line) -> str:
+    mae = number(line.metrics.get("mae_m"), 100)
+    valid = number(line.metrics.get("valid_share"), 100, ".1f")
+    return f"{line.label}: MAE {mae} cm, {number(line.ms)} ms, {valid} % valid"
 
 
 def _coverage(rows: Sequence[Mapping[str, Any]], path: Path) -> str:
@@ -159,11 +164,17 @@ def _capture(out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float) -
         "table": _table(summarise(rows)),
         "regions": _regions(rows),
         "statistics": _statistics(rows),
-        "pictures": {
-            name: "data:image/png;base64," + base64.b64encode(png).decode("ascii")
-            for name, png in pictures.items()
-        },
+        "pictures": {name: _embedded(png) for name, png in pictures.items()},
     }
+
+
+def _embedded(png: bytes) -> str:
+    """A picture as a data URL; WebP, since noisy error maps as PNG are five times as large."""
+    from PIL import Image
+
+    small = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").save(small, "WEBP", quality=85)
+    return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode("ascii")
 
 
 def _regions(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Rows of results to tables: per capture, per group, as text for a terminal or as Markdown."""
+"""Rows of results to one line per method setting, over a capture or over a group of captures."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +41,11 @@ class Line:
     first_call_s: float = float("nan")
     peak_mb: float = float("nan")
     note: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every scored capture got an answer: only such means can be compared."""
+        return bool(self.per_capture) and bool(np.isfinite(list(self.per_capture.values())).all())
 
 
 def label_of(row: Mapping[str, Any]) -> str:
@@ -87,6 +92,8 @@ def groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any
 def summarise(rows: Sequence[Mapping[str, Any]]) -> list[Line]:
     """One line per method setting of a group, the uncorrected input first.
 
+    Settings that suit none of the captures have no line: `unsuited` names those.
+
     Parameters
     ----------
     rows : sequence of mapping
@@ -100,31 +107,57 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> list[Line]:
     by_label: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_label.setdefault(label_of(row), []).append(row)
-    lines = [_line(label, mine) for label, mine in by_label.items()]
+    lines = [
+        _line(label, mine)
+        for label, mine in by_label.items()
+        if any(row["status"] != "unsuited" for row in mine)
+    ]
     first = _input_line(rows)
     return [first, *lines] if first else lines
+
+
+def unsuited(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Methods that suit none of the captures of a group, each with its own words why.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of one group.
+
+    Returns
+    -------
+    list of str
+        One sentence per method.
+    """
+    methods = dict.fromkeys(str(row["method"]) for row in rows)
+    by_method = {name: [row for row in rows if row["method"] == name] for name in methods}
+    return [
+        f"{name} does not apply here: {mine[0]['error']}"
+        for name, mine in by_method.items()
+        if all(row["status"] == "unsuited" for row in mine)
+    ]
 
 
 def _line(label: str, rows: Sequence[Mapping[str, Any]]) -> Line:
     good = [row for row in rows if row["status"] == "ok"]
     bad = [row for row in rows if row["status"] != "ok"]
-    note = ""
+    scored = [row for row in good if "mae_m" in row["metrics"]]
+    empty = sum(row["metrics"]["mae_m"] is None for row in scored)
+    notes = [f"no answer on {empty} of {len(rows)} captures"] if empty else []
     if bad:
-        note = f"{bad[0]['status']} on {len(bad)} of {len(rows)}: {bad[0].get('error') or ''}"
+        notes.append(f"{bad[0]['status']} on {len(bad)} of {len(rows)}: {bad[0]['error']}")
     names = dict.fromkeys(name for row in good for name in row["metrics"])
     return Line(
         label=label,
         method=str(rows[0]["method"]),
         timed=any(row.get("ms") is not None for row in good),
         metrics={name: _mean([row["metrics"].get(name) for row in good]) for name in names},
-        per_capture={
-            row["capture"]: _mean([row["metrics"].get("mae_m")]) for row in good if row["metrics"]
-        },
+        per_capture={row["capture"]: _mean([row["metrics"].get("mae_m")]) for row in scored},
         ms=_mean([row.get("ms") for row in good]),
         setup_s=_mean([row.get("setup_s") for row in good]),
         first_call_s=_mean([row.get("first_call_s") for row in good]),
         peak_mb=_mean([row.get("peak_mb") for row in good]),
-        note=note,
+        note="; ".join(notes),
     )
 
 
@@ -152,123 +185,3 @@ def _input_line(rows: Sequence[Mapping[str, Any]]) -> Line | None:
 def _mean(values: Iterable[Any]) -> float:
     known = [float(v) for v in values if v is not None and np.isfinite(v)]
     return float(np.mean(known)) if known else float("nan")
-
-
-COLUMNS = (
-    ("MAE cm", "mae_m", 100, ".2f"),
-    ("median cm", "median_m", 100, ".2f"),
-    ("p95 cm", "p95_m", 100, ".2f"),
-    ("bias cm", "bias_m", 100, "+.2f"),
-    ("< 1 cm %", "under_1cm", 100, ".1f"),
-    ("wraps %", "wrap_share", 100, ".2f"),
-    ("valid %", "valid_share", 100, ".1f"),
-    ("coherence", "coherence", 1, ".4f"),
-)
-"""Heading, metric, factor, format of the summary columns."""
-
-
-def cells(line: Line, *, per_capture: bool) -> list[str]:
-    """Text of one line, without its label.
-
-    Parameters
-    ----------
-    line : Line
-        The line.
-    per_capture : bool
-        Whether the MAE of every capture follows.
-
-    Returns
-    -------
-    list of str
-        Mean MAE, MAE per capture, the other summary columns, times, memory.
-    """
-    found = [number(line.metrics.get(name), scale, form) for _, name, scale, form in COLUMNS]
-    if per_capture:
-        found.insert(1, " / ".join(number(v, 100, ".2f") for v in line.per_capture.values()))
-    found += [number(line.ms, 1, ".2f"), number(line.setup_s, 1, ".2f"),
-              number(line.first_call_s, 1, ".2f"), number(line.peak_mb, 1, ".0f")]  # fmt: skip
-    return found
-
-
-def headings(*, per_capture: bool) -> list[str]:
-    """Headings of `cells`, the label's included.
-
-    Parameters
-    ----------
-    per_capture : bool
-        As in `cells`.
-
-    Returns
-    -------
-    list of str
-        Column headings.
-    """
-    found = ["method", *(heading for heading, *_ in COLUMNS)]
-    if per_capture:
-        found.insert(2, "of each")
-    return [*found, "ms", "set-up s", "first s", "MB"]
-
-
-def number(value: float | None, scale: float = 1.0, form: str = ".2f") -> str:
-    """A figure for a table; a dash for none.
-
-    Parameters
-    ----------
-    value : float or None
-        Figure.
-    scale : float
-        Factor.
-    form : str
-        Format.
-
-    Returns
-    -------
-    str
-        Text.
-    """
-    return "–" if value is None or not np.isfinite(value) else format(value * scale, form)
-
-
-def text_table(lines: Sequence[Line]) -> str:
-    """Aligned table for a terminal.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-        Lines of one group.
-
-    Returns
-    -------
-    str
-        Text with a heading line.
-    """
-    many = max((len(line.per_capture) for line in lines), default=0) > 1
-    rows = [headings(per_capture=many)]
-    rows += [[line.label, *cells(line, per_capture=many)] for line in lines]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    out = []
-    for row, line in zip(rows, [None, *lines], strict=True):
-        padded = [row[0].ljust(widths[0])]
-        padded += [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-        out.append("  ".join(padded).rstrip() + (f"  ({line.note})" if line and line.note else ""))
-    return "\n".join(out)
-
-
-def markdown_table(lines: Sequence[Line]) -> str:
-    """The same table for README and docs.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-        Lines of one group.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
-    many = max((len(line.per_capture) for line in lines), default=0) > 1
-    head = headings(per_capture=many)
-    rows = [head, ["---", *["---:"] * (len(head) - 1)]]
-    rows += [[f"`{line.label}`", *cells(line, per_capture=many)] for line in lines]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

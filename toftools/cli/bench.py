@@ -117,8 +117,9 @@ def _run(suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_
 
 
 def _score(out: Path, *, as_json: bool) -> None:
+    from toftools.bench.render import text_table
     from toftools.bench.score import score
-    from toftools.bench.table import groups, summarise, text_table
+    from toftools.bench.table import groups, summarise, unsuited
 
     rows = score(out)
     if as_json:
@@ -129,9 +130,12 @@ def _score(out: Path, *, as_json: bool) -> None:
         against = {"truth": "", "camera": ", against the camera's own distance"}
         click.echo(f"\n{name}{against.get(mine[0]['against'], ', nothing to compare with')}")
         click.echo(text_table(summarise(mine)))
+        for sentence in unsuited(mine):
+            click.echo(f"({sentence})")
 
 
 def _report(out: Path) -> None:
     from toftools.bench.report import report
 
+    click.echo("drawing the report", err=True)
     click.echo(f"\nreport: {report(out)}", err=True)
