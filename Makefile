@@ -9,7 +9,7 @@ ifneq ($(wildcard ../shared/data/real),)
 export TOFTOOLS_DATA ?= $(abspath ../shared/data/real)
 endif
 
-.PHONY: test bench docs lint types pytest install clean
+.PHONY: test bench docs kernels lint types pytest install clean
 
 install: $(VENV)/.installed
 
@@ -40,3 +40,7 @@ clean:
 # Docs that come out of code; RESULTS=DIR takes over a finished run's results first.
 docs: install
 	$(BIN)/python benchmarks/make_docs.py --pictures $(if $(RESULTS),--results $(RESULTS))
+
+# Milliseconds of the kernels beside their readable twins (pytest-benchmark).
+kernels: install
+	$(BIN)/python -m pytest benchmarks/kernels -o addopts="" -p no:dash --benchmark-only

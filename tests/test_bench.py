@@ -126,7 +126,10 @@ def test_scores_are_those_of_the_physics(finished):
     assert 0 < noise < 0.02
     assert by[wall, "crt:max_range_m=0.0"]["wrap_share"] == 0
     assert by[two, "crt:max_range_m=0.0"]["mae_m"] > 5 * noise
-    assert by[two, "crt:max_range_m=0.0"]["input_mae_m"] == by[two, "crt:max_range_m=0.0"]["mae_m"]
+    # The worker runs one thread, the scorer all: chunks are vectorised differently, and the last
+    # bit of a float32 range may differ.
+    mine = by[two, "crt:max_range_m=0.0"]
+    assert mine["input_mae_m"] == pytest.approx(mine["mae_m"], rel=1e-6)
 
 
 def test_a_second_run_keeps_what_is_finished_and_retries_the_rest(finished):
