@@ -14,10 +14,11 @@ import pytest
 from toftools.bench.plan import Point, make_plan, read_plan
 from toftools.bench.references import oracle_wrap, reported
 from toftools.bench.render import markdown_table, text_table
-from toftools.bench.run import is_finished, read_result, run_points
+from toftools.bench.run import Settings, is_finished, only_run, read_result, run_points
 from toftools.bench.score import read_rows, score, uncorrected
 from toftools.bench.suite import built_in, load_suite, points
-from toftools.bench.table import label_of, summarise, unsuited
+from toftools.bench.table import groups, label_of, summarise, unsuited
+from toftools.io.native import write_capture
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
 from toftools.types import Capture, Scene, Shot
@@ -36,6 +37,8 @@ freq_index = [0, 1]
 [grid.crt]
 max_range_m = [5.0, 0.0]
 """
+
+SETTINGS = Settings(repeats=3, threads=1, timeout_s=10.0)
 
 METHODS = """
 import os, time
@@ -72,8 +75,7 @@ def finished(tmp_path_factory):
         out = folder / "out"
         plan = make_plan(suite, out)
         log = []
-        bad = run_points(plan, out, repeats=3, threads=1, timeout_s=8.0,
-                         progress=lambda _i, _n, p, s: log.append((p.method, s)))  # fmt: skip
+        bad = run_points(plan, out, SETTINGS, lambda p, s: log.append((p.method, s)))
         rows = score(out)
         yield out, plan, log, bad, rows
     finally:
@@ -95,7 +97,7 @@ def test_every_point_has_a_row_and_failures_are_recorded(finished):
     why = {row["method"]: row["error"] for row in rows if row["status"] != "ok"}
     assert why["planted:fails"] == "ZeroDivisionError: planted"
     assert why["planted:wants_three"] == "got 2 frequencies, wanted 3"
-    assert "no answer within 8 s" in why["planted:sleeps"]
+    assert "no answer within 10 s" in why["planted:sleeps"]
     assert "exit code -9" in why["planted:dies"]
 
 
@@ -136,8 +138,7 @@ def test_a_second_run_keeps_what_is_finished_and_retries_the_rest(finished):
     out, plan, _, _, _ = finished
     log = []
     quick = [p for p in plan if "sleeps" not in p.method]
-    run_points(quick, out, repeats=3, threads=1, timeout_s=8.0,
-               progress=lambda _i, _n, p, s: log.append((p.method, s)))  # fmt: skip
+    run_points(quick, out, SETTINGS, lambda p, s: log.append((p.method, s)))
     kept = {method for method, status in log if status == "kept"}
     assert kept == {"single", "crt", "oracle_wrap", "planted:wants_three"}
     assert {s for m, s in log if m == "planted:fails"} == {"failed"}
@@ -149,38 +150,120 @@ def test_a_damaged_result_is_run_again(finished):
     path = out / "runs" / f"{point.key}.json"
     whole = path.read_text()
     path.write_text(whole[:20])
-    assert not is_finished(out, point)
-    run_points([point], out, repeats=3, threads=1, timeout_s=60, progress=lambda *_: None)
+    assert not is_finished(out, point, SETTINGS.fingerprint(point))
+    run_points([point], out, SETTINGS, lambda *_: None)
     assert read_result(out, point)["status"] == "ok"
 
 
-def test_kill_nine_during_a_run_loses_no_finished_point(tmp_path):
+def result_files(out):
+    return {path.name: path.stat().st_mtime_ns for path in (out / "runs").glob("*.json")}
+
+
+def wait_until(condition, process):
+    deadline = time.monotonic() + 120
+    while not condition() and time.monotonic() < deadline:
+        assert process.poll() is None, "the run ended before it could be killed"
+        time.sleep(0.02)
+    assert condition()
+
+
+def test_kill_nine_of_the_run_alone_loses_no_finished_point_and_leaves_no_worker(tmp_path):
     suite = tmp_path / "kill.toml"
     suite.write_text(
         'name = "kill"\nsensor = "opt8241:width=16,height=12"\nscenes = ["wall:range=2"]\n'
-        'methods = ["single", "crt"]\nrepeats = 3\n'
-        "[grid.single]\nfreq_index = [0, 1]\n[grid.crt]\nmax_range_m = [3.0, 5.0, 8.0]\n"
+        'methods = ["single", "crt", "slow:make"]\nrepeats = 3\n'
+    )
+    (tmp_path / "slow.py").write_text(
+        "import os, time\nfrom pathlib import Path\n"
+        "def make(sensor):\n"
+        "    Path('worker.pid').write_text(str(os.getpid()))\n"
+        "    return lambda phasors: time.sleep(300)\n"
     )
     out = tmp_path / "out"
     command = [sys.executable, "-m", "toftools", "bench", "run", str(suite), "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                               start_new_session=True)  # fmt: skip
-    deadline = time.monotonic() + 120
-    while len(list((out / "runs").glob("*.json"))) < 2 and time.monotonic() < deadline:
-        assert process.poll() is None, "the run ended before it could be killed"
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    process = subprocess.Popen(command, **quiet)
+    pid_file = tmp_path / "worker.pid"
+    wait_until(lambda: pid_file.exists() and pid_file.read_text(), process)
+    before = result_files(out)
+    process.send_signal(signal.SIGKILL)  # the parent alone: no process group, no clean-up
     process.wait()
+    worker = Path(f"/proc/{pid_file.read_text()}")
+    for _ in range(500):
+        if not worker.exists():
+            break
+        time.sleep(0.02)
+    assert not worker.exists(), "the worker outlived its benchmark"
+    assert result_files(out) == before
     _, plan = read_plan(out)
-    before = {p.key: (out / "runs" / f"{p.key}.json").stat().st_mtime_ns
-              for p in plan if is_finished(out, p)}  # fmt: skip
-    assert 2 <= len(before) < 5
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert all(is_finished(out, p) for p in plan)
-    for key, stamp in before.items():
-        assert (out / "runs" / f"{key}.json").stat().st_mtime_ns == stamp, "finished point rerun"
-    assert not list(out.rglob(".*.json.*")) + list(out.rglob(".*.h5.*")) or before
+    settings = Settings(repeats=3, threads=os.cpu_count() or 1, timeout_s=900)
+    done = [p for p in plan if is_finished(out, p, settings.fingerprint(p))]
+    assert {p.method for p in done} == {"single", "crt"}
+    (tmp_path / "slow.py").write_text("def make(sensor):\n    raise ValueError('not today')\n")
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    after = result_files(out)
+    assert {name: after[name] for name in before} == before, "a finished point was run again"
+    assert len(after) == len(plan)
+    leftovers = [p for p in out.rglob(".*") if p.name != ".lock" and p.suffix == ".json"]
+    assert leftovers == []
+
+
+def test_an_edited_method_other_threads_or_other_repeats_are_run_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "edited_method.py"
+    code = (
+        "from toftools.types import DepthMap\nimport numpy as np\n"
+        "def make(sensor):\n    return lambda z: DepthMap(np.full(z.valid.shape, {}))\n"
+    )
+    module.write_text(code.format(1.0))
+    Path("s.toml").write_text(
+        'sensor = "opt8241:width=8,height=6"\nscenes = ["wall:range=2"]\n'
+        'methods = ["edited_method:make"]\n'
+    )
+    plan = make_plan(load_suite("s.toml"), tmp_path / "out")
+
+    def statuses(settings):
+        log = []
+        run_points(plan, tmp_path / "out", settings, lambda p, s: log.append(s))
+        return log
+
+    assert statuses(SETTINGS) == ["ok"]
+    assert statuses(SETTINGS) == ["kept"]
+    assert statuses(Settings(repeats=4, threads=1, timeout_s=10.0)) == ["ok"]
+    assert statuses(Settings(repeats=4, threads=2, timeout_s=10.0)) == ["ok"]
+    module.write_text(code.format(2.0))
+    assert statuses(Settings(repeats=4, threads=2, timeout_s=10.0)) == ["ok"]
+    row = score(tmp_path / "out")[0]
+    assert row["metrics"]["mae_m"] < 0.8
+    assert row["machine"]["threads"] == 2
+
+
+def test_a_changed_capture_file_is_a_new_capture(tmp_path):
+    path = tmp_path / "a.h5"
+    (tmp_path / "s.toml").write_text('captures = ["*.h5"]\nmethods = ["single"]\n')
+    ids = []
+    for range_m in (1.0, 1.5):
+        scene = Scene("wall", {"range": range_m})
+        write_capture(path, analytic(scene)(Shot(sensor("deeptof:width=8,height=6"))))
+        (tmp_path / ".hidden.h5").write_bytes(b"left by a killed run")
+        plan = make_plan(load_suite(str(tmp_path / "s.toml")), tmp_path / "out")
+        ids.append(plan[0].capture)
+    assert len(plan) == 1
+    assert ids[0] != ids[1]
+    assert read_plan(tmp_path / "out")[0]["captures"][0]["group"] == "captures"
+
+
+def test_two_runs_in_one_folder_are_refused(tmp_path):
+    with (
+        only_run(tmp_path),
+        pytest.raises(ValueError, match="another benchmark is running"),
+        only_run(tmp_path),
+    ):
+        pass
+    with only_run(tmp_path):
+        pass
 
 
 def test_tables_have_the_input_first_and_every_label(finished):
@@ -196,7 +279,7 @@ def test_tables_have_the_input_first_and_every_label(finished):
         "planted:wants_three does not apply here: got 2 frequencies, wanted 3"
     ]
     assert "ZeroDivisionError: planted" in text
-    widths = {line.count("|") for line in markdown.splitlines()}
+    widths = {line.count("|") for line in markdown.splitlines() if line.startswith("|")}
     assert len(widths) == 1
 
 
@@ -229,6 +312,18 @@ def test_built_in_suites_load_and_name_known_methods():
         ('methods = ["crt"]\nscenez = ["wall"]', "unknown key 'scenez'"),
         ('methods = ["crt"]', "needs methods, and captures or scenes"),
         ('scenes = ["wall"]\nmethods = ["nope"]', "unknown name 'nope'"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\nmask = 3', "mask in bad.toml must be a table"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\ngrid = 3', "grid in bad.toml must be a table"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\n[grid.crtt]', "unknown key 'crtt'; known: crt"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\n[mask]\nmin_range = 3', "unknown key 'min_range'"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\nrepeats = 0', "wants repeats >= 1"),
+        (
+            'scenes = ["wall"]\nmethods = ["crt"]\n[mask]\nmin_range_m = 5\nmax_range_m = 1',
+            "min_range_m < max_range_m",
+        ),
+        ('captures = [{format = "npz"}]\nmethods = ["crt"]', "tables with a path"),
+        ('scenes = ["wall"]\nmethods = ["crt:max_rnage_m=5"]', "no parameter 'max_rnage_m'"),
+        ('scenes = ["wall"]\nmethods = ["no_such_module:make"]', "cannot load method"),
         ('captures = ["*.nothing"]\nmethods = ["crt"]', "no file matches"),
         ('captures = ["$NO_SUCH_VARIABLE_HERE/*.h5"]\nmethods = ["crt"]', "found no capture"),
     ],
@@ -273,7 +368,7 @@ def test_keys_depend_on_capture_method_and_parameters():
 
 def test_a_mean_over_captures_without_an_answer_is_not_compared():
     def row(capture, mae_m):
-        return {"method": "m", "params": {}, "status": "ok", "capture": capture, "ms": 1.0,
+        return {"method": "m", "params": {}, "status": "ok", "capture_id": capture, "ms": 1.0,
                 "metrics": {"mae_m": mae_m, "input_mae_m": 0.2}}  # fmt: skip
 
     whole = summarise([row("a", 0.1), row("b", 0.3)])[1]
@@ -281,3 +376,21 @@ def test_a_mean_over_captures_without_an_answer_is_not_compared():
     assert whole.complete
     assert not part.complete
     assert part.note == "no answer on 1 of 2 captures"
+
+
+def test_a_crash_on_one_capture_makes_a_line_incomplete():
+    good = {"method": "m", "params": {}, "status": "ok", "capture_id": "a", "ms": 1.0,
+            "metrics": {"mae_m": 0.01, "input_mae_m": 0.2}}  # fmt: skip
+    bad = {"method": "m", "params": {}, "status": "crashed", "capture_id": "b", "ms": None,
+           "error": "exit code -9", "metrics": {}}  # fmt: skip
+    line = summarise([good, bad])[1]
+    assert not line.complete
+    assert "crashed on 1 of 2" in line.note
+    assert "crashed on 1 of 2" in markdown_table([line])
+
+
+def test_captures_with_truth_and_without_are_not_averaged_together():
+    rows = [{"group": "g", "against": against} for against in ("truth", "camera", "truth")]
+    assert {name: len(mine) for name, mine in groups(rows).items()} == {
+        "g": 2, "g, against the camera's own distance": 1
+    }  # fmt: skip

@@ -4,18 +4,24 @@
 what the first one made.
 """
 
-import hashlib
 import json
 import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from toftools.bench.fingerprint import capture_digest, digest, package_digest
 from toftools.bench.references import REFERENCES
-from toftools.bench.suite import Source, Suite, expand, points
+from toftools.bench.suite import Source, Suite, expand, points, spec_of
 from toftools.io.atomic import atomic_path
+from toftools.io.native import read_capture, write_capture
+from toftools.io.open import open_capture
+from toftools.registry import SIMULATORS, parameters_of, parse_name
+from toftools.sensors import sensor
+from toftools.types import Capture, Scene, Shot
 
 log = logging.getLogger(__name__)
 
@@ -41,16 +47,12 @@ class Point:
     @property
     def key(self) -> str:
         """File stem of the point under ``runs/``."""
-        digest = _digest([self.capture, self.method, dict(self.params)])
-        return f"{self.capture}--{_slug(self.method)}-{digest}"
+        mark = digest([self.capture, self.method, dict(self.params)])[:8]
+        return f"{self.capture}--{_slug(self.method)}-{mark}"
 
 
 def _slug(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")[:60]
-
-
-def _digest(value: Any) -> str:  # noqa: ANN401 - any JSON value
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:8]
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 - any JSON value
@@ -65,6 +67,27 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 - any JSON value
     """
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=True), encoding="utf-8")
+
+
+def make_folders(out: Path) -> None:
+    """Make the folders of a benchmark.
+
+    Parameters
+    ----------
+    out : Path
+        Benchmark folder.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be made.
+    """
+    try:
+        (out / "captures").mkdir(parents=True, exist_ok=True)
+        (out / "runs").mkdir(exist_ok=True)
+    except OSError as error:
+        msg = f"cannot write {out}: {error.strerror or error}; choose a writable folder"
+        raise ValueError(msg) from error
 
 
 def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> list[Point]:
@@ -89,19 +112,22 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     ValueError
         If a capture cannot be read, or none is left.
     """
-    (out / "captures").mkdir(parents=True, exist_ok=True)
-    (out / "runs").mkdir(exist_ok=True)
+    methods = (*suite.methods, *extra_methods)
+    for text in methods:
+        check_method(text)
+    make_folders(out)
     captures = [item for source in suite.sources for item in _ingest(source, suite, out)]
     if not captures:
         msg = f"suite {suite.name} found no capture; set TOFTOOLS_DATA or give scenes"
         raise ValueError(msg)
-    plan = [
+    found = [
         Point(str(item["id"]), method, params)
         for item in captures
-        for text in (*suite.methods, *extra_methods)
+        for text in methods
         for method, params in points(suite, text)
         if method not in REFERENCES or _applies(method, params, item)
     ]
+    plan = list({point.key: point for point in found}.values())  # a setting named twice runs once
     write_json(
         out / "plan.json",
         {
@@ -151,11 +177,33 @@ def _applies(method: str, params: Mapping[str, Any], item: Mapping[str, Any]) ->
     return bool(item["truth"]) and int(params.get("freq_index", 0)) < int(item["n_freqs"])
 
 
+def check_method(text: str) -> None:
+    """Refuse a method that cannot be loaded or has not the parameters given.
+
+    Parameters
+    ----------
+    text : str
+        Method as typed.
+
+    Raises
+    ------
+    ValueError
+        If so: before anything runs, not once per capture.
+    """
+    spec = spec_of(text)
+    known = parameters_of(spec.load())
+    for key in spec.params:
+        if key not in known:
+            wanted = ", ".join(known) or "none"
+            msg = f"{spec.name} has no parameter {key!r}; it takes: {wanted}"
+            raise ValueError(msg)
+
+
 def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:
     if source.sensor is not None:
         name = _slug(source.text)
-        digest = _digest([source.text, source.sensor])
-        yield _store(source, name, f"{name}-{digest}", source.text, out)
+        mark = digest([source.text, source.sensor, package_digest()])[:8]
+        yield _store(source, name, out / "captures" / f"{name}-{mark}.h5", lambda: _shot(source))
         return
     files = expand(source, suite.folder)
     if files is None:
@@ -165,21 +213,33 @@ def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]
         msg = f"no file matches {source.text!r}, relative to {suite.folder}"
         raise ValueError(msg)
     for file in files:
-        digest = hashlib.sha256(file.read_bytes() + repr(source.format).encode()).hexdigest()[:8]
+        # A reader may open files beside this one: the digest is of what it made of them all.
+        capture = open_capture(file, source.format)
         name = _slug(file.stem)
-        yield _store(source, name, f"{name}-{digest}", str(file), out)
+        path = out / "captures" / f"{name}-{capture_digest(capture)[:8]}.h5"
+        yield _store(source, name, path, partial(_same, capture))
 
 
-def _store(source: Source, name: str, capture_id: str, text: str, out: Path) -> dict[str, Any]:
-    """Make the capture file unless it is there, and describe it."""
-    from toftools.io.native import read_capture, write_capture
+def _same(capture: Capture) -> Capture:
+    return capture
 
-    path = out / "captures" / f"{capture_id}.h5"
-    if not path.exists():
-        write_capture(path, _capture(source, text))
-    capture = read_capture(path)
+
+def _shot(source: Source) -> Capture:
+    scene, params = parse_name(source.text)
+    run = SIMULATORS["analytic"].build(Scene(scene, params))
+    capture: Capture = run(Shot(sensor(str(source.sensor)), seed=0))
+    return capture
+
+
+def _store(source: Source, name: str, path: Path, make: Callable[[], Capture]) -> dict[str, Any]:
+    """Make the capture file unless it is there and readable, and describe it."""
+    try:
+        capture = read_capture(path)
+    except ValueError:
+        capture = make()
+        write_capture(path, capture)
     return {
-        "id": capture_id,
+        "id": path.stem,
         "name": name,
         "group": source.group,
         "truth": capture.truth is not None,
@@ -190,15 +250,3 @@ def _store(source: Source, name: str, capture_id: str, text: str, out: Path) -> 
         "height": capture.sensor.camera.height,
         "freqs_hz": capture.sensor.modulation.freqs_hz.tolist(),
     }
-
-
-def _capture(source: Source, text: str) -> Any:  # noqa: ANN401 - a Capture
-    from toftools.io.open import open_capture
-    from toftools.registry import SIMULATORS, parse_name
-    from toftools.sensors import sensor
-    from toftools.types import Scene, Shot
-
-    if source.sensor is None:
-        return open_capture(Path(text), source.format)
-    scene, params = parse_name(text)
-    return SIMULATORS["analytic"].build(Scene(scene, params))(Shot(sensor(source.sensor), seed=0))

@@ -123,4 +123,6 @@ def markdown_table(lines: Sequence[Line]) -> str:
     head = headings(per_capture=many)
     rows = [head, ["---", *["---:"] * (len(head) - 1)]]
     rows += [[f"`{line.label}`", *cells(line, per_capture=many)] for line in lines]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    table = "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    notes = "".join(f"\n- `{line.label}`: {line.note}" for line in lines if line.note)
+    return f"{table}\n{notes}" if notes else table

@@ -85,11 +85,24 @@ def _group(
         "name": name,
         "against": str(rows[0]["against"]),
         "table": _table(lines),
-        "notes": [*(f"{line.label}: {line.note}" for line in lines if line.note), *unsuited(rows)],
+        "notes": [*_notes(lines), *unsuited(rows)],
         "pareto": _pareto(lines, name, out / "figures" / f"pareto-{slug}.svg") if scored else "",
         "coverage": _coverage(rows, out / "figures" / f"coverage-{slug}.svg") if scored else "",
         "captures": [_capture(out, mine, max_range_m) for mine in captures.values()],
     }
+
+
+def _notes(lines: Sequence[Line]) -> list[str]:
+    notes = [f"{line.label}: {line.note}" for line in lines if line.note]
+    left_out = [
+        line.label for line in lines if line.timed and line.per_capture and not line.complete
+    ]
+    if left_out:
+        notes.append(
+            "Not in the chart, since a mean over fewer captures does not compare: "
+            + ", ".join(left_out)
+        )
+    return notes
 
 
 def _table(lines: Sequence[Line]) -> dict[str, Any]:

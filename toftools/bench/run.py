@@ -1,17 +1,21 @@
 """Second stage: every point in a process of its own, threads pinned, finished points kept."""
 
+import contextlib
 import json
 import os
 import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from toftools.bench.fingerprint import point_fingerprint
 from toftools.bench.plan import Point, write_json
+from toftools.bench.suite import spec_of
+from toftools.registry import CORRECTIONS
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -62,8 +66,8 @@ def read_result(out: Path, point: Point) -> dict[str, Any] | None:
     return result if isinstance(result, dict) and "status" in result else None
 
 
-def is_finished(out: Path, point: Point) -> bool:
-    """Whether a point needs no run: it has an answer, or the method said it does not apply.
+def is_finished(out: Path, point: Point, fingerprint: str) -> bool:
+    """Whether a point needs no run: it was run to its end by this very code.
 
     Parameters
     ----------
@@ -71,30 +75,89 @@ def is_finished(out: Path, point: Point) -> bool:
         Benchmark folder.
     point : Point
         The point.
+    fingerprint : str
+        `point_fingerprint` of the code and settings at hand.
 
     Returns
     -------
     bool
-        False for a missing, failed, crashed or timed-out point: a rerun tries those again.
+        False for a missing, failed, crashed, timed-out or outdated point: it is run again.
     """
     result = read_result(out, point)
-    if result is None:
+    if result is None or result.get("fingerprint") != fingerprint:
         return False
     if result["status"] == "ok":
         return result_path(out, point).with_suffix(".npz").exists()
     return bool(result["status"] == "unsuited")
 
 
+@contextlib.contextmanager
+def only_run(out: Path) -> Iterator[None]:
+    """Hold a folder against a second run at the same time.
+
+    Parameters
+    ----------
+    out : Path
+        Benchmark folder.
+
+    Yields
+    ------
+    None
+        While no other run can start there. The lock dies with the process.
+
+    Raises
+    ------
+    ValueError
+        If another run holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on Windows
+        yield
+        return
+    with (out / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            msg = f"another benchmark is running in {out}; wait for it, or give another --out"
+            raise ValueError(msg) from error
+        yield
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How points are run.
+
+    Parameters
+    ----------
+    repeats : int
+        Timed calls per point.
+    threads : int
+        Threads each method may use.
+    timeout_s : float
+        Limit per point, s.
+    """
+
+    repeats: int
+    threads: int
+    timeout_s: float
+
+    def fingerprint(self, point: Point) -> str:
+        """Fingerprint of a point under these settings."""
+        target = spec_of(point.method).target
+        return point_fingerprint(target, repeats=self.repeats, threads=self.threads)
+
+
 def run_points(
     points: list[Point],
     out: Path,
-    *,
-    repeats: int,
-    threads: int,
-    timeout_s: float,
-    progress: Callable[[int, int, Point, str], None],
+    settings: Settings,
+    progress: Callable[[Point, str], None],
 ) -> int:
     """Run what is not finished.
+
+    Numba keeps compiled code on disk; a method of toftools is run once, untimed, before its first
+    point, so that set-up and first call mean the same for every point.
 
     Parameters
     ----------
@@ -102,44 +165,59 @@ def run_points(
         The plan.
     out : Path
         Benchmark folder.
-    repeats : int
-        Timed calls per point.
-    threads : int
-        Threads each method may use.
-    timeout_s : float
-        Limit per point, s.
+    settings : Settings
+        Repeats, threads, limit.
     progress : callable
-        ``progress(done, total, point, status)`` after each point.
+        ``progress(point, status)`` after each point.
 
     Returns
     -------
     int
         Number of points that failed, crashed or ran out of time.
     """
-    bad = 0
-    for i, point in enumerate(points, start=1):
+    bad, primed = 0, set()
+    for point in points:
         status = "kept"
-        if not is_finished(out, point):
-            result = _run(point, out, repeats=repeats, threads=threads, timeout_s=timeout_s)
-            status = str(result["status"])
+        if not is_finished(out, point, settings.fingerprint(point)):
+            if point.method in CORRECTIONS and point.method not in primed:
+                primed.add(point.method)
+                _prime(point, out, settings)
+            status = str(_run(point, out, settings)["status"])
             bad += status not in ("ok", "unsuited")
-        progress(i, len(points), point, status)
+        progress(point, status)
     return bad
 
 
-def _run(
-    point: Point, out: Path, *, repeats: int, threads: int, timeout_s: float
-) -> dict[str, Any]:
+def _prime(point: Point, out: Path, settings: Settings) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        _work(point, out, replace(settings, repeats=1), Path(folder) / "primed.json")
+
+
+def _run(point: Point, out: Path, settings: Settings) -> dict[str, Any]:
     target = result_path(out, point).resolve()
     target.unlink(missing_ok=True)
+    failure = _work(point, out, settings, target)
+    result = read_result(out, point) or {"status": failure[0], "error": failure[1]}
+    result.update(
+        fingerprint=settings.fingerprint(point),
+        machine=machine(settings.threads),
+        versions=versions(),
+    )
+    write_json(target, result)
+    return result
+
+
+def _work(point: Point, out: Path, settings: Settings, target: Path) -> tuple[str, str]:
+    """Run one worker; status and reason if it left no result of its own."""
     job = {
         **asdict(point),
         "capture": str((out / "captures" / f"{point.capture}.h5").resolve()),
-        "repeats": repeats,
+        "repeats": settings.repeats,
         "answer": str(target.with_suffix(".npz")),
         "result": str(target),
+        "parent": os.getpid(),
     }
-    environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, str(threads))}
+    environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, str(settings.threads))}
     # Threads that spin while they wait make every figure depend on what else the machine does.
     environment.setdefault("OMP_WAIT_POLICY", "passive")
     # A user's own method is importable from where the command was typed.
@@ -149,17 +227,11 @@ def _run(
     with tempfile.TemporaryDirectory() as folder:
         job_file = Path(folder) / "job.json"
         job_file.write_text(json.dumps(job), encoding="utf-8")
-        failure = _spawn(job_file, environment, timeout_s)
-    result = read_result(out, point)
-    if result is None:
-        result = {"status": failure[0] or "crashed", "error": failure[1]}
-    result.update(machine=machine(threads), versions=versions())
-    write_json(target, result)
-    return result
+        return _spawn(job_file, environment, settings.timeout_s)
 
 
 def _spawn(job_file: Path, environment: dict[str, str], timeout_s: float) -> tuple[str, str]:
-    """Run one worker; status and reason if it left no result of its own."""
+    """Run one process; what to say of it if it left no result."""
     command = [sys.executable, "-m", "toftools.bench.worker", str(job_file)]
     try:
         done = subprocess.run(

@@ -3,7 +3,7 @@
 import itertools
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -113,45 +113,91 @@ def load_suite(name_or_path: str) -> Suite:
 
 
 def _suite(table: Mapping[str, Any], path: Path) -> Suite:
-    unknown = [key for key in table if key not in _KEYS]
-    if unknown:
-        msg = f"{path.name} has an unknown key {unknown[0]!r}; known: {', '.join(_KEYS)}"
-        raise ValueError(msg)
-    sources = [*_files(table.get("captures", [])), *_scenes(table)]
-    methods = tuple(str(m) for m in table.get("methods", []))
+    where = path.name
+    _check_keys(table, _KEYS, where)
+    sources = [*_files(_list(table, "captures", where), where), *_scenes(table, where)]
+    methods = tuple(str(m) for m in _list(table, "methods", where))
     if not sources or not methods:
-        msg = f"{path.name} needs methods, and captures or scenes; got {sorted(table)}"
+        msg = f"{where} needs methods, and captures or scenes; got {sorted(table)}"
         raise ValueError(msg)
-    for method in methods:
-        spec_of(method)
-    mask = table.get("mask", {})
+    names = {spec_of(method).name for method in methods}
+    grid = _table(table, "grid", where)
+    _check_keys(grid, names, f"[grid] of {where}")
+    mask = _table(table, "mask", where)
+    _check_keys(mask, ("min_range_m", "max_range_m"), f"[mask] of {where}")
+    low = _number(mask, "min_range_m", 0.0, where)
+    high = _number(mask, "max_range_m", float("inf"), where)
+    repeats = table.get("repeats", 11)
+    if not isinstance(repeats, int) or repeats < 1 or not 0 <= low < high:
+        msg = (
+            f"{where} wants repeats >= 1 and 0 <= min_range_m < max_range_m, "
+            f"got {repeats!r}, {low:g} and {high:g}"
+        )
+        raise ValueError(msg)
     return Suite(
         name=str(table.get("name", path.stem)),
         folder=path.parent,
         sources=tuple(sources),
         methods=methods,
         grid={
-            name: {key: tuple(values) for key, values in grid.items()}
-            for name, grid in table.get("grid", {}).items()
+            name: {key: tuple(_list(dials, key, where)) for key in dials}
+            for name in grid
+            for dials in [_table(grid, name, where)]
         },
-        repeats=int(table.get("repeats", 11)),
-        min_range_m=float(mask.get("min_range_m", 0.0)),
-        max_range_m=float(mask.get("max_range_m", float("inf"))),
+        repeats=repeats,
+        min_range_m=low,
+        max_range_m=high,
     )
 
 
-def _files(entries: list[Any]) -> Iterator[Source]:
+def _check_keys(table: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            msg = f"{where} has an unknown key {key!r}; known: {', '.join(known)}"
+            raise ValueError(msg)
+
+
+def _table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, Mapping):
+        msg = f"{key} in {where} must be a table, got {value!r}"
+        raise ValueError(msg)
+    return value
+
+
+def _list(table: Mapping[str, Any], key: str, where: str) -> list[Any]:
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        msg = f"{key} in {where} must be a list, got {value!r}"
+        raise ValueError(msg)
+    return value
+
+
+def _number(table: Mapping[str, Any], key: str, default: float, where: str) -> float:
+    value = table.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        msg = f"{key} in {where} must be a number, got {value!r}"
+        raise ValueError(msg)
+    return float(value)
+
+
+def _files(entries: list[Any], where: str) -> Iterator[Source]:
     for entry in entries:
-        item = {"path": entry} if isinstance(entry, str) else dict(entry)
+        item = {"path": entry} if isinstance(entry, str) else entry
+        if not isinstance(item, Mapping) or "path" not in item:
+            msg = f"captures in {where} must be paths or tables with a path, got {entry!r}"
+            raise ValueError(msg)
+        _check_keys(item, ("path", "format", "group"), f"captures of {where}")
         pattern = str(item["path"])
-        yield Source(pattern, str(item.get("group", Path(pattern).parent.name)),
-                     item.get("format"))  # fmt: skip
+        group = str(item.get("group", Path(pattern).parent.name or "captures"))
+        yield Source(pattern, group, item.get("format"))
 
 
-def _scenes(table: Mapping[str, Any]) -> Iterator[Source]:
-    sensors = table.get("sensor", "deeptof")
-    for sensor in [sensors] if isinstance(sensors, str) else sensors:
-        for scene in table.get("scenes", []):
+def _scenes(table: Mapping[str, Any], where: str) -> Iterator[Source]:
+    named = table.get("sensor", "deeptof")
+    sensors = [named] if isinstance(named, str) else _list(table, "sensor", where)
+    for sensor in sensors:
+        for scene in _list(table, "scenes", where):
             yield Source(str(scene), f"scenes, {parse_name(sensor)[0]}", None, str(sensor))
 
 
@@ -176,7 +222,7 @@ def expand(source: Source, folder: Path) -> list[Path] | None:
     path = Path(text)
     root, pattern = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (
         folder, path)  # fmt: skip
-    return sorted(p for p in root.glob(str(pattern)) if p.is_file())
+    return sorted(p for p in root.glob(str(pattern)) if p.is_file() and not p.name.startswith("."))
 
 
 def spec_of(text: str) -> Spec:
@@ -209,7 +255,7 @@ def points(suite: Suite, text: str) -> list[tuple[str, dict[str, Any]]]:
     Returns
     -------
     list of (str, dict)
-        The default point first, then the grid.
+        The grid, or the default point of a method without one.
     """
     name, typed = parse_name(text)
     if typed:

@@ -24,7 +24,7 @@ class Line:
     metrics : mapping of str to float
         Mean over captures; NaN where nothing was scored.
     per_capture : mapping of str to float
-        MAE per capture, m.
+        MAE per capture id, m; NaN without an answer; empty if nothing can be scored.
     ms, setup_s, first_call_s, peak_mb : float
         Mean time and memory; NaN if not timed.
     note : str
@@ -44,7 +44,7 @@ class Line:
 
     @property
     def complete(self) -> bool:
-        """Whether every scored capture got an answer: only such means can be compared."""
+        """Whether every capture got an answer: only means over the same captures compare."""
         return bool(self.per_capture) and bool(np.isfinite(list(self.per_capture.values())).all())
 
 
@@ -71,7 +71,7 @@ def label_of(row: Mapping[str, Any]) -> str:
 
 
 def groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Rows by group, in order of appearance.
+    """Rows by group and by what they are scored against, in order of appearance.
 
     Parameters
     ----------
@@ -81,11 +81,13 @@ def groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any
     Returns
     -------
     dict of str to list
-        Group name to rows.
+        Group name, with what it is scored against unless that is truth, to rows.
     """
+    beside = {"truth": "", "camera": ", against the camera's own distance"}
     found: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        found.setdefault(str(row["group"]), []).append(row)
+        name = row["group"] + beside.get(row["against"], ", nothing to compare with")
+        found.setdefault(name, []).append(row)
     return found
 
 
@@ -141,8 +143,8 @@ def unsuited(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def _line(label: str, rows: Sequence[Mapping[str, Any]]) -> Line:
     good = [row for row in rows if row["status"] == "ok"]
     bad = [row for row in rows if row["status"] != "ok"]
-    scored = [row for row in good if "mae_m" in row["metrics"]]
-    empty = sum(row["metrics"]["mae_m"] is None for row in scored)
+    scored = any("mae_m" in row["metrics"] for row in good)
+    empty = sum(scored and row["metrics"].get("mae_m") is None for row in good)
     notes = [f"no answer on {empty} of {len(rows)} captures"] if empty else []
     if bad:
         notes.append(f"{bad[0]['status']} on {len(bad)} of {len(rows)}: {bad[0]['error']}")
@@ -152,7 +154,9 @@ def _line(label: str, rows: Sequence[Mapping[str, Any]]) -> Line:
         method=str(rows[0]["method"]),
         timed=any(row.get("ms") is not None for row in good),
         metrics={name: _mean([row["metrics"].get(name) for row in good]) for name in names},
-        per_capture={row["capture"]: _mean([row["metrics"].get("mae_m")]) for row in scored},
+        per_capture={
+            row["capture_id"]: _mean([row["metrics"].get("mae_m")]) for row in rows if scored
+        },
         ms=_mean([row.get("ms") for row in good]),
         setup_s=_mean([row.get("setup_s") for row in good]),
         first_call_s=_mean([row.get("first_call_s") for row in good]),
@@ -166,7 +170,7 @@ def _input_line(rows: Sequence[Mapping[str, Any]]) -> Line | None:
     per_capture: dict[str, Mapping[str, Any]] = {}
     for row in rows:
         if "input_mae_m" in row["metrics"]:
-            per_capture.setdefault(row["capture"], row["metrics"])
+            per_capture.setdefault(row["capture_id"], row["metrics"])
     if not per_capture:
         return None
     names = [name for name in next(iter(per_capture.values())) if "input_" in name]

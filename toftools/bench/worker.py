@@ -5,7 +5,9 @@ no rerun. The result file is written last and atomically: it exists if and only 
 finished.
 """
 
+import contextlib
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -15,33 +17,66 @@ import numpy as np
 
 from toftools.bench.plan import write_json
 from toftools.bench.references import REFERENCES
+from toftools.bench.suite import spec_of
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.phasor import phasors_of
-from toftools.registry import CORRECTIONS, find
 from toftools.types import Capture, DepthMap, Phasors
 
 BUDGET_S = 8.0  # steady calls stop here if the repeats are not done; at least three are made
 
 
-def peak_mb() -> float:
-    """Highest resident memory of this process.
+def resident_mb(field: str) -> float:
+    """Resident memory of this process as the kernel counts it.
+
+    Parameters
+    ----------
+    field : {"VmRSS", "VmHWM"}
+        Now, or the highest since `forget_peak`.
 
     Returns
     -------
     float
-        MB. The kernel's VmHWM where there is one: ru_maxrss also counts the parent's memory at
-        the moment of the fork.
+        MB; NaN where the kernel does not tell. (ru_maxrss would also count the parent's memory
+        at the moment of the fork.)
     """
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text(encoding="ascii", errors="replace").splitlines():
-            if line.startswith("VmHWM:"):
+            if line.startswith(f"{field}:"):
                 return float(line.split()[1]) / 1024
-    import resource
+    return float("nan")
 
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
+
+def forget_peak() -> float:
+    """Start to count the peak anew.
+
+    Returns
+    -------
+    float
+        Memory in use now, MB: what is not the method's.
+    """
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    return resident_mb("VmRSS")
+
+
+def die_with_parent(parent: int) -> None:
+    """End this process when the benchmark that started it ends, however that ends.
+
+    Parameters
+    ----------
+    parent : int
+        Its process id.
+    """
+    if sys.platform == "linux":
+        import ctypes
+        import signal
+
+        PR_SET_PDEATHSIG = 1
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if parent and os.getppid() != parent:  # it ended before we could ask
+        sys.exit(1)
 
 
 def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int) -> dict[str, Any]:
@@ -62,15 +97,16 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
     -------
     dict
         ``status``, ``depth`` and, for real methods, ``setup_s``, ``first_call_s``, ``ms``,
-        ``ms_iqr``; or status ``unsuited`` and the method's reason.
+        ``ms_iqr``, ``calls``, and ``peak_mb``, the highest memory above what the process held
+        before the method was loaded; or status ``unsuited`` and the method's reason.
     """
     phasors = phasors_of(capture)
+    base_mb = forget_peak()
     start = time.perf_counter()
+    spec = spec_of(method)
+    spec.load()  # a module that cannot be imported is a failure, not a method that does not suit
     try:
-        if method in REFERENCES:
-            run = REFERENCES[method].build(capture, **params)
-        else:
-            run = find(CORRECTIONS, method).build(capture.sensor, **params)
+        run = spec.build(capture if method in REFERENCES else capture.sensor, **params)
     except ValueError as error:
         # A method looks at the sensor when it is made: this one does not suit it.
         return {"status": "unsuited", "error": " ".join(str(error).split())}
@@ -97,6 +133,7 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
         "ms": float(mid),
         "ms_iqr": float(high - low),
         "calls": len(times),
+        "peak_mb": max(resident_mb("VmHWM") - base_mb, 0.0),
     }
 
 
@@ -126,12 +163,12 @@ def main(job_file: str) -> None:
         JSON with capture, method, params, repeats, answer and result paths.
     """
     job = json.loads(Path(job_file).read_text(encoding="utf-8"))
+    die_with_parent(int(job["parent"]))
     capture = read_capture(job["capture"])
     try:
         result = measure(capture, job["method"], job["params"], int(job["repeats"]))
         if "depth" in result:
             _store_answer(Path(job["answer"]), result.pop("depth"))
-            result["peak_mb"] = peak_mb()
     except Exception as error:  # a method's failure is a result, whatever it raises
         detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
         result = {"status": "failed", "error": detail}

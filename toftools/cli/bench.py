@@ -21,7 +21,11 @@ class _AllByDefault(click.Group):
 
 @click.group(cls=_AllByDefault, context_settings={"help_option_names": ["-h", "--help"]})
 def command() -> None:
-    """Run, score and report methods over captures: ``toftools bench SUITE --out DIR``."""
+    """Run, score and report methods over captures: toftools bench SUITE --out DIR.
+
+    SUITE is a built-in name (quick, core, real, full) or a TOML file. Without a stage all three
+    are done; `toftools bench all --help` lists the options.
+    """
 
 
 _RUN_OPTIONS: list[Callable[[Any], Any]] = [
@@ -37,6 +41,9 @@ _RUN_OPTIONS: list[Callable[[Any], Any]] = [
 ]  # fmt: skip
 
 
+_json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+
+
 def _with_run_options(function: Any) -> Any:  # noqa: ANN401 - click decorates anything
     for option in reversed(_RUN_OPTIONS):
         function = option(function)
@@ -50,16 +57,18 @@ def _folder() -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 @command.command("run")
 @_with_run_options
-def run_stage(
-    suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_s: float
-) -> int:
+@_json_option
+def run_stage(*, as_json: bool, **options: Any) -> int:  # noqa: ANN401 - click passes options
     """Run the points of SUITE that are not finished."""
-    return _run(suite, out, methods, threads, timeout_s)
+    counts = _run(**options)
+    if as_json:
+        click.echo(json.dumps(counts))
+    return _status(counts)
 
 
 @command.command("score")
 @_folder()
-@click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON lines.")
+@_json_option
 def score_stage(folder: Path, *, as_json: bool) -> None:
     """Score the stored answers in DIR; nothing is run again."""
     _score(folder, as_json=as_json)
@@ -67,53 +76,58 @@ def score_stage(folder: Path, *, as_json: bool) -> None:
 
 @command.command("report")
 @_folder()
-def report_stage(folder: Path) -> None:
+@_json_option
+def report_stage(folder: Path, *, as_json: bool) -> None:
     """Write DIR/report.html from DIR/results.jsonl."""
-    _report(folder)
+    page = _report(folder)
+    click.echo(json.dumps({"report": str(page)}) if as_json else f"report: {page}")
 
 
-@command.command("all", hidden=True)
+@command.command("all")
 @_with_run_options
-@click.option("--json", "as_json", is_flag=True, help="Print the rows as JSON lines.")
-def all_stages(
-    suite: str,
-    out: Path,
-    methods: tuple[str, ...],
-    threads: int,
-    timeout_s: float,
-    *,
-    as_json: bool,
-) -> int:
-    """Run SUITE, score it and write the report."""
-    status = _run(suite, out, methods, threads, timeout_s)
-    _score(out, as_json=as_json)
-    _report(out)
-    return status
+@_json_option
+def all_stages(*, as_json: bool, **options: Any) -> int:  # noqa: ANN401 - click passes options
+    """Run SUITE, score it and write the report; what `toftools bench SUITE` does."""
+    counts = _run(**options)
+    _score(options["out"], as_json=as_json)
+    page = _report(options["out"])
+    click.echo(f"\nreport: {page}", err=True)
+    return _status(counts)
 
 
-def _run(suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_s: float) -> int:
-    from toftools.bench.plan import Point, make_plan
-    from toftools.bench.run import run_points
+def _status(counts: dict[str, int]) -> int:
+    """Exit code: 1 if a point failed, crashed or ran out of time."""
+    return int(any(counts.get(status) for status in ("failed", "crashed", "timeout")))
+
+
+def _run(
+    suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_s: float
+) -> dict[str, int]:
+    """Run what is not finished; number of points by status."""
+    from toftools.bench.plan import Point, make_folders, make_plan
+    from toftools.bench.run import Settings, only_run, run_points
     from toftools.bench.suite import load_suite
     from toftools.bench.table import label_of
 
     loaded = load_suite(suite)
-    click.echo(f"suite {loaded.name}: reading captures", err=True)
-    plan = make_plan(loaded, out, methods)
-    with click.progressbar(
-        length=len(plan), label="points", file=sys.stderr, width=24,
-        item_show_func=str,
-    ) as bar:  # fmt: skip
+    settings = Settings(loaded.repeats, threads, timeout_s)
+    counts: dict[str, int] = {}
+    make_folders(out)
+    with only_run(out):
+        click.echo(f"suite {loaded.name}: reading captures", err=True)
+        plan = make_plan(loaded, out, methods)
+        with click.progressbar(
+            length=len(plan), label="points", file=sys.stderr, width=24,
+            item_show_func=str,
+        ) as bar:  # fmt: skip
 
-        def progress(_done: int, _total: int, point: Point, status: str) -> None:
-            label = label_of({"method": point.method, "params": point.params})
-            bar.update(1, f"{label} {status}")
+            def progress(point: Point, status: str) -> None:
+                counts[status] = counts.get(status, 0) + 1
+                label = label_of({"method": point.method, "params": point.params})
+                bar.update(1, f"{label} {status}")
 
-        bad = run_points(
-            plan, out, repeats=loaded.repeats, threads=threads, timeout_s=timeout_s,
-            progress=progress,
-        )  # fmt: skip
-    return 1 if bad else 0
+            run_points(plan, out, settings, progress)
+    return counts
 
 
 def _score(out: Path, *, as_json: bool) -> None:
@@ -127,15 +141,14 @@ def _score(out: Path, *, as_json: bool) -> None:
             click.echo(json.dumps(row))
         return
     for name, mine in groups(rows).items():
-        against = {"truth": "", "camera": ", against the camera's own distance"}
-        click.echo(f"\n{name}{against.get(mine[0]['against'], ', nothing to compare with')}")
+        click.echo(f"\n{name}")
         click.echo(text_table(summarise(mine)))
         for sentence in unsuited(mine):
             click.echo(f"({sentence})")
 
 
-def _report(out: Path) -> None:
+def _report(out: Path) -> Path:
     from toftools.bench.report import report
 
     click.echo("drawing the report", err=True)
-    click.echo(f"\nreport: {report(out)}", err=True)
+    return report(out)
