@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, one-sentence errors, JSON on stdout."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -125,6 +126,45 @@ def test_bad_input_is_one_sentence_exit_code_two_and_no_file(
     assert out == ""
     assert len([line for line in err.splitlines() if "rror" in line]) == 1
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+MINE = """
+import numpy as np
+from toftools.types import DepthMap
+
+def make(sensor, *, range_m=1.5):
+    def run(phasors):
+        return DepthMap(np.full(phasors.values.shape[1:], range_m))
+    return run
+
+def text(sensor):
+    return lambda phasors: "no depth"
+
+NUMBER = 3
+"""
+
+
+def console(folder, *args):
+    """The installed command, whose sys.path holds neither the current folder nor PYTHONPATH."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    return subprocess.run(
+        [sys.executable, "-P", "-c", "from toftools.cli import main; main()", *map(str, args)],
+        cwd=folder, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_a_method_in_the_current_folder_is_found_by_the_installed_command(capture_file, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "h5py.py").write_text("raise RuntimeError('this is not the library')")
+    done = console(tmp_path, "correct", capture_file, "--method", "mine:make:range_m=2.5", "--out",
+                   "a.npz", "--json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["median_range_m"] == 2.5
+    (tmp_path / "h5py.py").unlink()
+    suite = f"methods = ['mine:make']\ncaptures = ['{capture_file}']\n"
+    (tmp_path / "suite.toml").write_text(suite)
+    done = console(tmp_path, "bench", "run", "suite.toml", "--out", "b", "--threads", "1")
+    assert done.returncode == 0, done.stderr
 
 
 def test_full_disk_leaves_nothing_behind(capture_file, tmp_path):

@@ -57,6 +57,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     argv : sequence of str, optional
         Arguments; those of the process by default.
     """
+    # A user's own `mine:make` lies in the current folder. It comes last, so that no file of a
+    # folder of recordings stands in for a library.
+    if "" not in sys.path:
+        sys.path.append("")
     try:
         status = cli.main(args=argv, prog_name="toftools", standalone_mode=False)
     except click.ClickException as error:
