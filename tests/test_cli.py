@@ -113,6 +113,42 @@ BAD = [
 ]
 
 
+TO = ["--out", "x.h5"]
+TYPED = [
+    (["simulate", "wall:range=abc"], "got range='abc', wanted a number such as 2"),
+    (["simulate", "wall:range=nan"], "got range=nan, wanted a number"),
+    (["simulate", "wall:range=1e400"], "got range=inf, wanted a number"),
+    (["simulate", "wall:range=1+2"], "wanted a number"),
+    (["simulate", "wall:ambient_e=x"], "got ambient_e='x', wanted a number"),
+    (["simulate", "wall:ambient_e=-1"], "must be non-negative"),
+    (["simulate", "wall:kind"], "wanted key=value"),
+    (["simulate", "wall:range=2,range=3"], "got range twice"),
+    (["simulate", "corner:angle=x"], "got angle='x', wanted a number such as 90"),
+    (["simulate", "cavity:radius=true"], "got radius=True, wanted a number"),
+    (["simulate", "wall", "--sensor", "deeptof:contrast=abc"], "got contrast='abc', wanted"),
+    (["simulate", "wall", "--sensor", "deeptof:contrast=true"], "got contrast=True, wanted"),
+    (["simulate", "wall", "--sensor", "deeptof:signal_e=inf"], "got signal_e=inf, wanted"),
+    (["simulate", "wall", "--sensor", "deeptof:width=1.5"], "wanted a whole number such as 256"),
+    (["simulate", "wall", "--sensor", "deeptof:hfov_deg=wide"], "got hfov_deg='wide', wanted"),
+    (["simulate", "wall", "--sensor", "deeptof:freqs=fast"], "wanted numbers joined by +"),
+    (["simulate", "wall", "--sensor", "deeptof:freqs=20e6+x"], "wanted numbers joined by +"),
+    (["simulate", "wall", "--sensor", "deeptof:steps=0+x+2"], "wanted numbers joined by +"),
+    (["simulate", "wall", "--sensor", "deeptof:steps=true"], "wanted numbers joined by +"),
+    (["simulate", "wall", "--sensor", "deeptof:waveform=3"], "got waveform=3, wanted a word"),
+    (["simulate", "wall", "--sensor", "deeptof:width"], "wanted key=value"),
+    (["correct", "CAPTURE", "--method", "crt:max_range_m=abc"], "wanted a number such as 0"),
+    (["correct", "CAPTURE", "--method", "crt:max_range_m=nan"], "got max_range_m=nan, wanted"),
+    (["correct", "CAPTURE", "--method", "crt:kind"], "wanted key=value"),
+    (["correct", "CAPTURE", "--method", "kde:window_px=abc"], "wanted a whole number"),
+    (["correct", "CAPTURE", "--method", "kde:hypotheses=2.5"], "wanted a whole number"),
+    (["correct", "CAPTURE", "--method", "sra:grid_m=abc"], "got grid_m='abc', wanted a number"),
+    (["correct", "CAPTURE", "--method", "single:freq_index=a"], "wanted a whole number such as 0"),
+    (["correct", "CAPTURE", "--method", "single:freq_index=0.5"], "wanted a whole number"),
+    (["correct", "CAPTURE", "--method", "math:pi"], "wanted a function"),
+]
+BAD += [([*args, *TO], message) for args, message in TYPED]
+
+
 @pytest.mark.parametrize(("args", "message"), BAD, ids=[" ".join(args) for args, _ in BAD])
 def test_bad_input_is_one_sentence_exit_code_two_and_no_file(
     capsys, monkeypatch, tmp_path, capture_file, args, message
@@ -165,6 +201,15 @@ def test_a_method_in_the_current_folder_is_found_by_the_installed_command(captur
     (tmp_path / "suite.toml").write_text(suite)
     done = console(tmp_path, "bench", "run", "suite.toml", "--out", "b", "--threads", "1")
     assert done.returncode == 0, done.stderr
+
+
+def test_whole_floats_and_endless_wells_are_fine(capsys, capture_file, tmp_path):
+    out = tmp_path / "a.npz"
+    method = "single:freq_index=1.0"
+    assert call(capsys, "correct", capture_file, "--method", method, "--out", out)[0] == 0
+    text = "deeptof:width=8.0,height=8,full_well_e=inf,steps=0+2.1+4.2"
+    out = tmp_path / "c.h5"
+    assert call(capsys, "simulate", "wall", "--sensor", text, "--out", out)[0] == 0
 
 
 def test_full_disk_leaves_nothing_behind(capture_file, tmp_path):

@@ -332,14 +332,16 @@ def test_a_file_that_two_formats_claim_is_refused(tmp_path):
     ("text", "words"),
     [
         ("mp4", "unknown name"),
-        ("depth_png:scale=big", "wanted a float"),
-        ("depth_png:scale=nan", "wanted a float"),
+        ("depth_png:scale=big", "wanted a number such as 1000"),
+        ("depth_png:scale=nan", "wanted a number such as 1000"),
         ("depth_png:scale=0", "scale must be positive"),
         ("depth_png:colour=1", "no parameter 'colour'"),
         ("depth_png:camera=1+2", r"fx\+fy\+cx\+cy"),
         ("depth_png:hfov_deg=200", "hfov_deg"),
         ("depth_png:freq=20", "Hz, not MHz"),
         ("depth_png:scale=2,kind", "key=value"),
+        ("depth_png:kind", "got 'kind' in 'depth_png:kind'; wanted key=value"),
+        ("depth_png:kind=z,kind=z", "twice"),
         ("no.such.module:read", "cannot load"),
     ],
 )

@@ -11,6 +11,10 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
+from toftools._params import checked_params as checked_params
+from toftools._params import parse_entry as parse_entry
+from toftools._params import parse_name as parse_name
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -54,10 +58,14 @@ class Spec:
         """
         module, _, function = self.target.partition(":")
         try:
-            return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
+            make = getattr(importlib.import_module(module), function)
         except (ImportError, AttributeError) as error:
             msg = f"cannot load method {self.target!r}: {error}"
             raise ValueError(msg) from error
+        if not callable(make):
+            msg = f"cannot load method {self.target!r}: got {make!r}, wanted a function"
+            raise ValueError(msg)
+        return make  # type: ignore[no-any-return]
 
     def build(self, context: object, **params: object) -> Callable[[Any], Any]:
         """Make the method for a context.
@@ -77,17 +85,11 @@ class Spec:
         Raises
         ------
         ValueError
-            If a parameter is unknown to the method.
+            If a parameter is unknown to the method or of another kind than its default.
         """
-        make = self.load()
-        merged = {**self.params, **params}
-        known = parameters_of(make)
-        for key in merged:
-            if key not in known:
-                wanted = ", ".join(known) or "none"
-                msg = f"{self.name or self.target} has no parameter {key!r}; it takes: {wanted}"
-                raise ValueError(msg)
-        return make(context, **merged)  # type: ignore[no-any-return]
+        make, name = self.load(), self.name or self.target
+        checked = checked_params(name, parameters_of(make), {**self.params, **params})
+        return make(context, **checked)  # type: ignore[no-any-return]
 
 
 def parameters_of(make: Callable[..., Any]) -> dict[str, Any]:
@@ -110,75 +112,6 @@ def parameters_of(make: Callable[..., Any]) -> dict[str, Any]:
     }
 
 
-def parse_value(text: str) -> Any:  # noqa: ANN401 - the type is what the text says
-    """Value of one ``key=val``: int, float, bool, ``a+b`` tuple, or the string itself.
-
-    Parameters
-    ----------
-    text : str
-        What stands right of the equals sign.
-
-    Returns
-    -------
-    int, float, bool, tuple or str
-        The value.
-
-    Examples
-    --------
-    >>> parse_value("20e6+50e6"), parse_value("3"), parse_value("true"), parse_value("1e+6")
-    ((20000000.0, 50000000.0), 3, True, 1000000.0)
-    """
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    for number in (int, float):
-        try:
-            return number(text)
-        except ValueError:
-            continue
-    if "+" in text:
-        return tuple(parse_value(part) for part in text.split("+"))
-    return text
-
-
-def parse_name(text: str) -> tuple[str, dict[str, Any]]:
-    """Split ``name:key=val,...`` into the name and its parameters.
-
-    Parameters
-    ----------
-    text : str
-        A scene, sensor or method as typed.
-
-    Returns
-    -------
-    tuple of str and dict
-        Name and parameters. A name may itself hold one colon (``mypkg.mine:make``).
-
-    Raises
-    ------
-    ValueError
-        If a parameter has no equals sign.
-
-    Examples
-    --------
-    >>> parse_name("wall:range=2,tilt=30")
-    ('wall', {'range': 2, 'tilt': 30})
-    >>> parse_name("mypkg.mine:make:k=1")
-    ('mypkg.mine:make', {'k': 1})
-    """
-    head, _, tail = text.strip().partition(":")
-    function, _, rest = tail.partition(":")
-    if function and "=" not in function:  # module:function
-        head, tail = f"{head}:{function}", rest
-    params: dict[str, Any] = {}
-    for item in filter(None, tail.split(",")):
-        key, equals, value = item.partition("=")
-        if not equals or not key.strip().isidentifier():
-            msg = f"got {item!r} in {text!r}; wanted key=value pairs separated by commas"
-            raise ValueError(msg)
-        params[key.strip()] = parse_value(value.strip())
-    return head, params
-
-
 def find(table: Mapping[str, Spec], text: str) -> Spec:
     """The spec behind ``name[:key=val,...]`` or a user's ``module.path:function[:key=val,...]``.
 
@@ -199,8 +132,9 @@ def find(table: Mapping[str, Spec], text: str) -> Spec:
     ValueError
         If the name is neither known nor of the form ``module.path:function``.
     """
-    name, params = parse_name(text)
-    if name in table:
+    registered = text.strip().partition(":")[0] in table
+    name, params = parse_entry(text) if registered else parse_name(text)
+    if registered:
         entry = table[name]
         return replace(entry, params={**entry.params, **params})
     if ":" in name:

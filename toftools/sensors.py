@@ -14,7 +14,7 @@ import numpy as np
 
 from toftools.camera import pinhole
 from toftools.phasor import SCHEMES
-from toftools.registry import parse_name
+from toftools.registry import checked_params, parse_entry
 from toftools.types import Camera, Modulation, Noise, Sensor
 
 ASSUMED_NOISE = Noise(read_e=20.0, full_well_e=150_000.0, contrast=0.8, signal_e=20_000.0)
@@ -120,6 +120,7 @@ def _steps(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from 
             raise ValueError(msg)
         steps = SCHEMES[value]
     else:
+        checked_params("sensor", {"steps": (0.0,)}, {"steps": value})
         steps = np.atleast_1d(np.asarray(value, dtype=np.float64))
     old = sensor.modulation
     return replace(sensor, modulation=Modulation(old.freqs_hz, steps, old.harmonics))
@@ -149,8 +150,15 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     return Camera(width, height, K, camera.dist)
 
 
-NOISE_KEYS = ("read_e", "full_well_e", "dn_per_e", "contrast", "signal_e")
-CAMERA_KEYS = ("width", "height", "hfov_deg")
+NOISE_KEYS: Mapping[str, float] = MappingProxyType(
+    {"read_e": 20.0, "full_well_e": float("inf"), "dn_per_e": 1.0, "contrast": 0.8,
+     "signal_e": 20_000.0}
+)  # fmt: skip
+CAMERA_KEYS: Mapping[str, float] = MappingProxyType({"width": 256, "height": 256, "hfov_deg": 70.0})
+KEYS: Mapping[str, Any] = MappingProxyType(
+    {"freqs": (20e6,), "steps": None, "waveform": "sine", **CAMERA_KEYS, **NOISE_KEYS}
+)
+"""Every key of a sensor with a typical value, whose type says what is wanted."""
 
 
 def sensor(text: str) -> Sensor:
@@ -178,15 +186,15 @@ def sensor(text: str) -> Sensor:
     >>> sensor("deeptof:freqs=20e6+50e6,width=64,height=64").modulation.freqs_hz.tolist()
     [20000000.0, 50000000.0]
     """
-    name, params = parse_name(text)
+    name, params = parse_entry(text)
     if name not in PRESETS:
         msg = f"unknown sensor {name!r}; known: {', '.join(PRESETS)}"
         raise ValueError(msg)
-    known = ("freqs", "steps", "waveform", *CAMERA_KEYS, *NOISE_KEYS)
-    unknown = [key for key in params if key not in known]
+    unknown = [key for key in params if key not in KEYS]
     if unknown:
-        msg = f"unknown sensor key {unknown[0]!r}; known: {', '.join(known)}"
+        msg = f"unknown sensor key {unknown[0]!r}; known: {', '.join(KEYS)}"
         raise ValueError(msg)
+    params = checked_params(f"sensor {name}", KEYS, params)
     made = replace(PRESETS[name](), name=name)
     if "freqs" in params:
         made = _freqs(made, params["freqs"])
@@ -203,7 +211,7 @@ def sensor(text: str) -> Sensor:
 
 def _sized(sensor: Sensor, size: Mapping[str, Any]) -> Sensor:
     camera = sensor.camera
-    width, height = int(size.get("width", camera.width)), int(size.get("height", camera.height))
+    width, height = size.get("width", camera.width), size.get("height", camera.height)
     if "hfov_deg" in size:
         return replace(sensor, camera=pinhole(width, height, hfov_deg=float(size["hfov_deg"])))
     if (width, height) == (camera.width, camera.height):

@@ -32,11 +32,11 @@ def command(
 ) -> None:
     """Simulate a capture of SCENE: ``name:key=val,...`` such as ``corner:angle=90,range=2``."""
     from toftools.io.native import write_capture
-    from toftools.registry import parse_name
+    from toftools.registry import parse_entry
     from toftools.sensors import sensor
     from toftools.types import Scene, Shot
 
-    name, params = parse_name(scene)
+    name, params = parse_entry(scene)
     # One engine so far: `auto` takes the exact one, which refuses scenes without a closed form.
     run = SIMULATORS["analytic" if engine == "auto" else engine].build(Scene(name, params))
     shot = Shot(sensor(sensor_text), seed=seed, noisy=not no_noise, max_bounces=max_bounces)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from toftools.io.native import is_capture, read_capture
 from toftools.io.readers._file import existing_file
-from toftools.registry import READERS, Spec, find, parameters_of
+from toftools.registry import READERS, Spec, find
 from toftools.types import Capture
 
 HEAD_BYTES = 4096
@@ -38,7 +38,6 @@ def open_capture(path: Path | str, format: str | None = None) -> Capture:
     path = Path(path)
     if format is not None:
         spec = find(READERS, format)
-        _check_params(spec)
         capture: object = spec.build(path)
         if not isinstance(capture, Capture):
             msg = f"the reader {format!r} gave {type(capture).__name__}, wanted a Capture"
@@ -47,21 +46,6 @@ def open_capture(path: Path | str, format: str | None = None) -> Capture:
     if path.is_file() and is_capture(path):
         return read_capture(path)
     return open_capture(path, detect(path))
-
-
-def _check_params(spec: Spec) -> None:
-    """Refuse a parameter whose kind is not that of the reader's default (a word for a number)."""
-    for key, default in parameters_of(spec.load()).items():
-        value = spec.params.get(key, default)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        number = number and abs(value) < 1e18  # refuses nan and inf as well
-        fits = {bool: isinstance(value, bool), str: isinstance(value, str),
-                int: number and value == int(value), float: number,
-                tuple: number or isinstance(value, tuple)}  # fmt: skip
-        if not fits.get(type(default), True):
-            kind = type(default).__name__
-            msg = f"{spec.name} got {key}={value!r}, wanted a {kind} such as {default!r}"
-            raise ValueError(msg)
 
 
 def detect(path: Path | str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toftools.phasor import demodulate
-from toftools.registry import parameters_of
+from toftools.registry import checked_params, parameters_of
 from toftools.sim.noise import clean_taps, expose
 from toftools.sim.shapes import Transport, cavity, corner, tilted, two_returns, wall
 from toftools.types import Capture, Scene, Sensor, Shot, Truth
@@ -56,15 +56,10 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
         msg = f"no closed form for scene {scene.name!r}; known: {', '.join(SCENES)}"
         raise ValueError(msg)
     build = SCENES[scene.name]
-    params = dict(scene.params)
+    defaults = {**parameters_of(build), "ambient_e": 0.0}
+    params = checked_params(f"scene {scene.name}", defaults, scene.params)
     ambient_e = float(params.pop("ambient_e", 0.0))
-    known = parameters_of(build)
-    unknown = [key for key in params if key not in known]
-    if unknown:
-        keys = ", ".join([*known, "ambient_e"])
-        msg = f"scene {scene.name} has no parameter {unknown[0]!r}; it takes: {keys}"
-        raise ValueError(msg)
-    if not (np.isfinite(ambient_e) and ambient_e >= 0):
+    if ambient_e < 0:
         msg = f"ambient_e must be non-negative electrons, got {ambient_e}"
         raise ValueError(msg)
 
