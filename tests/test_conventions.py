@@ -117,10 +117,35 @@ def test_c_and_ambiguity():
     assert joint_ambiguity_m([40e6, 70e6]) == pytest.approx(C_M_S / 2 / 10e6)
     assert joint_ambiguity_m([45.18e6, 37.65e6]) == pytest.approx(19.9, abs=0.02)
     assert joint_ambiguity_m([80e6, 16e6, 120e6]) == pytest.approx(18.75, abs=0.02)
-    with pytest.raises(ValueError, match="never meet"):
-        joint_ambiguity_m([40e6, 40e6 * np.sqrt(2)], tol_cycles=1e-7)
+    for tol_cycles in (0.0, 1e-7, 0.02):
+        with pytest.raises(ValueError, match="never meet"):
+            joint_ambiguity_m([40e6, 40e6 * np.sqrt(2)], tol_cycles=tol_cycles)
     with pytest.raises(ValueError, match="give Hz, not MHz"):
         Modulation(np.array([40.0, 70.0]))
+
+
+@pytest.mark.parametrize(
+    ("freqs_mhz", "turns"),  # turns of the highest frequency
+    [
+        ((100, 101), 101), ((60, 61), 61), ((300, 301), 301), ((1, 120), 120),
+        ((198, 189, 54), 22), ((50.5, 100), 200), ((20, 20, 50), 5), ((100 / 3, 100), 3),
+        # Slightly off: the near repetition of the nominal frequencies.
+        ((100.0003, 101.0007), 101), ((40.01, 69.97), 7), ((80.1675385, 120.44403642), 3),
+        ((80.1675385, 16.05444453, 120.44403642), 15),
+    ],
+)  # fmt: skip
+def test_joint_ambiguity_is_the_common_divisor_and_no_near_miss_before_it(freqs_mhz, turns):
+    freqs = 1e6 * np.array(freqs_mhz)
+    expected = turns * float(ambiguity_m(freqs.max()))
+    assert joint_ambiguity_m(freqs) == pytest.approx(expected, rel=1e-12)
+    assert joint_ambiguity_m(freqs[::-1]) == pytest.approx(expected, rel=1e-12)
+
+
+def test_an_exact_repetition_can_be_asked_for():
+    assert joint_ambiguity_m([100e6, 101e6], tol_cycles=0) == pytest.approx(C_M_S / 2e6)
+    assert joint_ambiguity_m([40.01e6, 69.97e6], tol_cycles=0) == pytest.approx(C_M_S / 2e4)
+    with pytest.raises(ValueError, match="never meet"):
+        joint_ambiguity_m([80.1675385e6, 16.05444453e6, 120.44403642e6], tol_cycles=0)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -245,6 +245,7 @@ def test_a_lone_return_comes_back_much_better_than_the_grid(make, max_range_m):
         ("opt8241:freqs=70e6+40e6", 0.04, 1.5),
         ("opt8241:freqs=100e6+20e6", 0.04, 1.5),
         ("opt8241:freqs=198e6+189e6", 0.01, 3.0),  # wrong by a wrap if lone returns miss the nodes
+        ("opt8241:freqs=60e6+61e6", 0.1, 3.0),  # 61 turns, a circle of 150 m
     ],
 )
 def test_other_pairs_of_frequencies(text, grid_m, limit_m):

@@ -92,6 +92,28 @@ def test_range_ends_as_documented():
     assert short(far).info["residual"][0, 0] > 100  # nothing within 5 m explains it, and it says so
 
 
+@pytest.mark.parametrize("freqs", ["100e6+101e6", "60e6+61e6", "50.5e6+100e6"])
+@pytest.mark.parametrize("max_range_m", [0.0, 10.0, 100.0, 1000.0])
+def test_frequencies_close_together_reach_as_far_as_their_beat(freqs, max_range_m):
+    text = f"opt8241:freqs={freqs}"
+    truth = np.linspace(0.01, min(max_range_m or 149.0, 149.0), 300).reshape(10, 30)
+    depth = crt(preset(text), max_range_m=max_range_m)(planted(text, truth, snr=1e6))
+    # float32 of 149 m is 8e-6 m, and noise of 1e-6 far less.
+    assert np.abs(depth.range_m - truth).max() < 1e-4
+
+
+def test_a_given_limit_is_cut_only_by_an_exact_repetition():
+    near, exact = preset("kinect2"), preset(KINECT)  # repeat nearly at 18.67, exactly at 18.74 m
+    assert plan(near, 25.0, least_freqs=1, method="x").max_range_m == 25.0
+    assert plan(near, 0.0, least_freqs=1, method="x").max_range_m == pytest.approx(18.67, abs=0.01)
+    assert plan(exact, 25.0, least_freqs=1, method="x").max_range_m == pytest.approx(
+        18.737, abs=1e-3
+    )
+    truth = np.linspace(0.1, 24.9, 100).reshape(10, 10)
+    depth = crt(near, max_range_m=25.0)(planted("kinect2", truth, snr=1000.0))
+    assert np.abs(depth.range_m - truth).max() < 0.01
+
+
 # --- Noise against bounds -----------------------------------------------------------------------
 
 

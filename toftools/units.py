@@ -14,6 +14,16 @@ C_M_S = 299_792_458.0
 
 TWO_PI = 2.0 * np.pi
 
+MOST_TURNS = 10_000
+"""Turns of the highest frequency within which phases must meet to have a joint ambiguity."""
+SMALL_TURNS = 256
+"""Exact repetitions up to here come first. Beyond, neighbouring ranges differ by less than 1.4
+degrees, and a near repetition before (40.01 and 69.97 MHz: 4 to 7) is what the camera means."""
+EXACT = 1e-9
+"""Relative error of frequencies whose ratio still counts as exact."""
+CLOSER = 0.1
+"""A near repetition is this much closer than anything before: 0.08 for the Kinect v2."""
+
 
 def range_to_phase(range_m: ArrayLike, freq_hz: ArrayLike) -> NDArray[np.float64]:
     """Unwrapped phase of a return at a radial range, ``4 pi f range / c``.
@@ -108,15 +118,19 @@ def ambiguity_m(freq_hz: ArrayLike) -> NDArray[np.float64]:
 def joint_ambiguity_m(freqs_hz: ArrayLike, *, tol_cycles: float = 0.02) -> float:
     """Range at which the phases of all frequencies come back together.
 
-    For commensurate frequencies this is ``c / (2 gcd)``; real cameras run slightly off their
-    nominal frequencies, so a return within `tol_cycles` of a full turn counts as one.
+    For commensurate frequencies, whose ratios are whole numbers up to `SMALL_TURNS`, this is
+    ``c / (2 gcd)``. Real cameras run slightly off their nominal frequencies; for the rest, phases
+    that come back to within `tol_cycles`, and ten times closer than at any shorter range, count
+    as a repetition: noise that could tell the two apart would not mix up any shorter ranges.
+    Different frequencies make different numbers of turns until then, or their beat is not over.
 
     Parameters
     ----------
     freqs_hz : array_like, (F,)
         Modulation frequencies, Hz.
     tol_cycles : float
-        Phase difference still taken as a repetition, in turns.
+        Phase difference still taken as a repetition, in turns; 0 asks for an exact one (to 1e-9
+        of the frequencies), with whole numbers of any size up to 10 000.
 
     Returns
     -------
@@ -132,23 +146,30 @@ def joint_ambiguity_m(freqs_hz: ArrayLike, *, tol_cycles: float = 0.02) -> float
     --------
     >>> round(joint_ambiguity_m([40e6, 70e6]), 3)
     14.99
+    >>> round(joint_ambiguity_m([100e6, 101e6]), 1)
+    149.9
     >>> round(joint_ambiguity_m([80.1675385e6, 16.05444453e6, 120.44403642e6]), 2)
     18.67
     """
-    freqs = np.atleast_1d(np.asarray(freqs_hz, dtype=np.float64))
-    highest = float(freqs.max())
-    turns = np.arange(1, 10_001)
-    cycles = turns[:, None] * freqs / highest  # (N, F) turns of each frequency
-    together = (np.abs(cycles - np.round(cycles)) < tol_cycles).all(axis=1) & (
-        np.round(cycles) >= 1
-    ).all(axis=1)
+    freqs = np.unique(np.asarray(freqs_hz, dtype=np.float64))
+    turns = np.arange(1, MOST_TURNS + 1)
+    cycles = turns[:, None] * freqs / freqs[-1]  # (N, F) turns of each frequency
+    whole = np.round(cycles)
+    # Sorted: distinct neighbours are distinct throughout, and the lowest has the fewest turns.
+    complete = (np.diff(whole, axis=1, prepend=0) >= 1).all(axis=1)
+    off = np.abs(cycles - whole).max(axis=1)
+    exact = complete & (off <= EXACT * turns)
+    closest_before = np.minimum.accumulate(np.r_[0.5, off[:-1]])
+    nearly = complete & (off < tol_cycles) & (off < CLOSER * closest_before)
+    small = exact & (turns <= SMALL_TURNS)
+    together = small if small.any() else exact | nearly
     if not together.any():
         msg = (
             f"got frequencies {freqs.tolist()} Hz whose phases never meet within {tol_cycles} "
             "turns; wanted commensurate frequencies; pass a maximum range instead"
         )
         raise ValueError(msg)
-    return float(ambiguity_m(highest) * turns[int(np.argmax(together))])
+    return float(ambiguity_m(freqs[-1]) * turns[int(np.argmax(together))])
 
 
 def wrap_phase(phase_rad: ArrayLike) -> NDArray[np.float64]:

@@ -44,7 +44,8 @@ def range_grid(freqs_hz: F64, grid_m: float, max_range_m: float) -> tuple[F64, f
     grid_m : float
         Wanted step, m.
     max_range_m : float
-        Longest range, m; 0, or anything from the joint ambiguity up, means the joint ambiguity.
+        Longest range, m; 0, or anything from an exact joint ambiguity up, means the joint
+        ambiguity.
 
     Returns
     -------

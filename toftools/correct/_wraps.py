@@ -86,8 +86,8 @@ def plan(sensor: Sensor, max_range_m: float, *, least_freqs: int, method: str) -
     sensor : Sensor
         Gives the frequencies.
     max_range_m : float
-        Longest range, m; 0 stands for the joint ambiguity, which also caps larger values since
-        nothing tells ranges beyond it apart.
+        Longest range, m; 0 stands for the joint ambiguity. An exact repetition caps it, since
+        nothing tells ranges beyond that apart.
     least_freqs : int
         Number of frequencies the method needs.
     method : str
@@ -131,7 +131,8 @@ def longest_m(freqs_hz: F64, max_range_m: float) -> float:
     Returns
     -------
     float
-        The limit, at most the joint ambiguity, m.
+        The limit, m: at most the range where all phases repeat exactly. One where they repeat
+        only nearly is no reason to cut what was asked for.
 
     Raises
     ------
@@ -144,8 +145,8 @@ def longest_m(freqs_hz: F64, max_range_m: float) -> float:
     if max_range_m == 0:
         return joint_ambiguity_m(freqs_hz)
     try:
-        return min(float(max_range_m), joint_ambiguity_m(freqs_hz))
-    except ValueError:  # incommensurate frequencies never repeat: nothing to cap
+        return min(float(max_range_m), joint_ambiguity_m(freqs_hz, tol_cycles=0.0))
+    except ValueError:  # these frequencies never repeat exactly: nothing to cap
         return float(max_range_m)
 
 

@@ -31,8 +31,9 @@ def crt(sensor: Sensor, *, max_range_m: float = 0.0) -> Callable[[Phasors], Dept
     sensor : Sensor
         Gives the frequencies, one or more.
     max_range_m : float
-        Longest range that can occur, m; 0 stands for the joint ambiguity of all frequencies, and
-        larger values are cut to it. A limit well below it makes wrong wraps rarer. Answers are
+        Longest range that can occur, m; 0 stands for the joint ambiguity of all frequencies.
+        Values beyond an exact repetition of all phases are cut to it; a near one (Kinect v2:
+        18.67 m) cuts nothing. A limit well below makes wrong wraps rarer. Answers are
         confined to [0, max_range_m]. Up to the joint ambiguity that makes the axis a circle: a
         return at 1 cm whose noise says -2 cm comes back 2 cm short of the far end, since the
         data fit there perfectly; with a smaller limit it comes back as 0.
