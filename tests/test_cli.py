@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 
@@ -87,6 +88,42 @@ def test_correct_json_and_answer_agree(capsys, capture_file, tmp_path):
         assert summary["median_range_m"] == pytest.approx(float(np.nanmedian(answer["range_m"])))
         assert (answer["z_m"] <= answer["range_m"]).all()
     assert (code, summary["valid_share"]) == (0, 1.0)
+
+
+@pytest.mark.parametrize("method", ["crt", "sra", "kde", "single"])
+def test_every_answer_carries_an_amplitude(capsys, capture_file, tmp_path, method):
+    with h5py.File(capture_file) as file:
+        expected = np.abs(file["phasors"][0])
+    for suffix in ("npz", "h5", "ply"):
+        out = tmp_path / f"a.{suffix}"
+        code, _, err = call(capsys, "correct", capture_file, "--method", method, "--out", out)
+        assert code == 0, err
+    with np.load(tmp_path / "a.npz") as answer, h5py.File(tmp_path / "a.h5") as file:
+        assert np.array_equal(answer["amplitude"], expected)
+        assert np.array_equal(file["depth/amplitude"], expected)
+    assert b"property float amplitude" in (tmp_path / "a.ply").read_bytes()
+    code, _, err = call(capsys, "cloud", tmp_path / "a.npz", "--colour", "amplitude", "--out",
+                        tmp_path / "a.html")  # fmt: skip
+    assert code == 0, err
+
+
+def test_amplitude_is_not_made_up(capsys, tmp_path):
+    """A depth alone enters as unit phasors, which say nothing about the signal."""
+    np.savez(tmp_path / "d.npz", range_m=np.full((4, 6), 2.0), K=np.diag([50.0, 50, 1]))
+    out = tmp_path / "a.npz"
+    code, _, err = call(capsys, "correct", tmp_path / "d.npz", "--method", "crt", "--out", out)
+    assert code == 0, err
+    with np.load(out) as answer:
+        assert "amplitude" not in answer.files
+
+
+def test_an_answer_that_is_none_is_refused(capsys, capture_file, monkeypatch, tmp_path):
+    (tmp_path / "mine_text.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(capsys, "correct", capture_file, "--method", "mine_text:text", "--out",
+                        "a.npz")  # fmt: skip
+    assert code == 2
+    assert "gave str, wanted a DepthMap" in err
 
 
 BAD = [

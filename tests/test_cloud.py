@@ -17,7 +17,8 @@ from toftools.cli.cloud import command
 from toftools.io.export import write_npz
 from toftools.io.native import write_capture
 from toftools.sensors import sensor
-from toftools.types import Capture, DepthMap, Phasors, Truth
+from toftools.sim.analytic import analytic
+from toftools.types import Capture, DepthMap, Phasors, Scene, Shot, Truth
 from toftools.viz import _process
 from toftools.viz._view import oblique
 from toftools.viz.cloud import cloud_png, show
@@ -252,9 +253,27 @@ def test_ply_of_an_answer_reads_back(answer, tmp_path):
     np.testing.assert_array_equal(rows[:, :3], points(CAMERA, wall())[known])
 
 
+@pytest.mark.parametrize(("freqs", "method"), [("20e6", "single"), ("40e6+70e6", "crt")])
+def test_a_capture_without_depth_is_unwrapped_and_says_so(freqs, method, tmp_path):
+    """Taps alone, and no --capture: the file knows its camera."""
+    shot = Shot(sensor(f"opt8241:width=64,height=48,freqs={freqs}"), noisy=False)
+    made = analytic(Scene("tilted", {"range": 2.0}))(shot)
+    path, out = tmp_path / "c.h5", tmp_path / "x.ply"
+    write_capture(path, Capture(made.sensor, taps=made.taps))
+    done = CliRunner().invoke(command, [str(path), "--out", str(out), "--colour", "amplitude"])
+    assert done.stderr == f"no depth in the file: unwrapped with {method}\n"
+    assert done.exit_code == 0
+    names, rows = read_ply(out)
+    expected = points(made.sensor.camera, made.truth.range_m).reshape(-1, 3)
+    # Float32 phases of 1e-7 turns of at most 7.5 m, and float32 points.
+    np.testing.assert_allclose(rows[:, :3], expected, atol=1e-5)
+    strength = rows[:, names.index("amplitude")]
+    np.testing.assert_allclose(strength, np.abs(made.phasors.values[0]).ravel(), rtol=1e-6)
+    said = CliRunner().invoke(command, [str(path), "--out", str(out), "--json"])
+    assert json.loads(said.stdout)["unwrapped_with"] == method
+
+
 def test_truth_of_a_capture_is_shown_on_demand_only(capture, tmp_path):
-    with pytest.raises(ValueError, match=r"holds no depth; run .*or add --truth"):
-        call(capture, "--out", tmp_path / "x.ply")
     call(capture, "--truth", "--out", tmp_path / "x.ply")
     names, rows = read_ply(tmp_path / "x.ply")
     assert "amplitude" in names  # of the phasors

@@ -38,18 +38,25 @@ def command(
     format_text: str | None,
     as_json: bool,
 ) -> None:
-    """Make a point cloud of an answer or a capture in SOURCE."""
+    """Make a point cloud of an answer or a capture in SOURCE.
+
+    A capture without a depth of its own is unwrapped (crt; single for one frequency). Taps and
+    phasors need no --capture; an .npz of ranges alone does.
+    """
     import numpy as np
 
     _check_wish(out, view)
-    depth, camera = _load(source, format_text, camera_file, truth)
+    depth, camera, method = _load(source, format_text, camera_file, truth)
+    if method is not None:
+        click.echo(f"no depth in the file: unwrapped with {method}", err=True)
     if colour == "amplitude" and depth.amplitude is None:
         msg = f"{source.name} holds no amplitude to colour by; use --colour range"
         raise ValueError(msg)
     if out is not None:
         _write(out, depth, camera, colour, source.name)
         count = int(np.isfinite(depth.range_m).sum())
-        summary = {"out": str(out), "points": count, "pixels": depth.range_m.size}
+        summary = {"out": str(out), "points": count, "pixels": depth.range_m.size,
+                   **({"unwrapped_with": method} if method else {})}  # fmt: skip
         text = f"wrote {out}: {count} points of {depth.range_m.size} pixels"
         click.echo(json.dumps(summary) if as_json else text)
     if view:
@@ -70,12 +77,13 @@ def _check_wish(out: Path | None, view: bool) -> None:
 
 def _load(
     source: Path, format_text: str | None, camera_file: Path | None, truth: bool
-) -> tuple[DepthMap, Camera]:
-    """The ranges to show and the camera that saw them."""
+) -> tuple[DepthMap, Camera, str | None]:
+    """The ranges to show, the camera that saw them, and what unwrapped them if they were not."""
+    from toftools.io.answer import depth_of
     from toftools.io.open import open_capture
 
     capture = open_capture(source, format_text)
-    depth = _truth(capture, source) if truth else _answer(capture, source)
+    depth, method = (_truth(capture, source), None) if truth else depth_of(capture)
     if camera_file is not None:
         camera = open_capture(camera_file).sensor.camera
         if camera.shape != depth.range_m.shape:
@@ -84,14 +92,14 @@ def _load(
                 f"{depth.range_m.shape}; give the capture it was made from"
             )
             raise ValueError(msg)
-        return depth, camera
+        return depth, camera, method
     if format_text is None and _without_camera(capture):
         msg = (
             f"{source.name} holds no camera; give the capture it was made from as --capture C.h5, "
             "or assume a field of view with --format npz:hfov_deg=60"
         )
         raise ValueError(msg)
-    return depth, capture.sensor.camera
+    return depth, capture.sensor.camera, method
 
 
 def _without_camera(capture: Capture) -> bool:
@@ -100,39 +108,14 @@ def _without_camera(capture: Capture) -> bool:
     return capture.provenance.get("format") == "npz" and note.endswith("assumed")
 
 
-def _answer(capture: Capture, source: Path) -> DepthMap:
-    from dataclasses import replace
-
-    if capture.depth is None:
-        hint = ", or add --truth" if capture.truth is not None else ""
-        msg = (
-            f"{source.name} holds no depth; run `toftools correct {source.name} --out answer.npz` "
-            f"and make the cloud of that{hint}"
-        )
-        raise ValueError(msg)
-    if capture.depth.amplitude is not None:
-        return capture.depth
-    return replace(capture.depth, amplitude=_measured_amplitude(capture))
-
-
 def _truth(capture: Capture, source: Path) -> DepthMap:
+    from toftools.io.answer import measured_amplitude
     from toftools.types import DepthMap
 
     if capture.truth is None:
         msg = f"{source.name} holds no ground truth; leave out --truth"
         raise ValueError(msg)
-    return DepthMap(capture.truth.range_m, amplitude=_measured_amplitude(capture))
-
-
-def _measured_amplitude(capture: Capture) -> F32 | None:
-    """Amplitude of the first frequency, if anything but a depth was measured."""
-    import numpy as np
-
-    from toftools.phasor import phasors_of
-
-    if capture.phasors is None and capture.taps is None:
-        return None
-    return np.asarray(np.abs(phasors_of(capture).values[0]), dtype=np.float32)
+    return DepthMap(capture.truth.range_m, amplitude=measured_amplitude(capture))
 
 
 def _shades(depth: DepthMap) -> dict[str, F32]:

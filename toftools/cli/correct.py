@@ -21,14 +21,12 @@ def command(
     """Turn the capture in CAPTURE_FILE into a depth map."""
     import numpy as np
 
+    from toftools.io.answer import answered
     from toftools.io.export import write_answer
     from toftools.io.open import open_capture
-    from toftools.phasor import phasors_of
-    from toftools.registry import CORRECTIONS, find
 
     capture = open_capture(capture_file, format_text)
-    phasors = phasors_of(capture)
-    depth = find(CORRECTIONS, method).build(capture.sensor)(phasors)
+    depth = answered(capture, method)
     write_answer(out, depth, capture)
     known = np.isfinite(depth.range_m)
     summary = {
