@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from toftools.crlb import crlb_multi_range_m, crlb_range_m, crlb_returns_m, fisher_phase_exact
-from toftools.phasor import demodulate, phase, wrapped_range_m
+from toftools.phasor import demodulate, modulate, phase, wrapped_range_m
 from toftools.sensors import sensor
 from toftools.sim.analytic import SCENES, analytic
 from toftools.sim.dihedral import Wall, _gather, one_bounce
 from toftools.sim.shapes import cavity_bounce
-from toftools.types import Scene, Shot
+from toftools.types import Scene, Shot, Taps
 from toftools.units import ambiguity_m, path_to_phase
 
 TINY = "deeptof:width=8,height=6"
@@ -142,6 +142,50 @@ def test_phasor_sigma_is_what_the_noise_does():
         measured = (part(spread) ** 2).sum(0) / 11
         ratio = measured.mean(axis=(1, 2)) / (shots[0].sigma.astype(float) ** 2).mean(axis=(1, 2))
         assert np.abs(ratio - 1).max() < 4 * np.sqrt(2 / (11 * 64 * 48))
+
+
+EIGHT_UNEVEN = "0+0.7+1.5+2.4+3.1+4.0+4.4+5.9"
+
+
+@pytest.mark.parametrize(
+    ("steps", "n_degrees"), [("three_step", 24), ("four_step", 9), (EIGHT_UNEVEN, 24)]
+)
+def test_sigma_is_the_scatter_across_the_phasor(steps, n_degrees):
+    device = sensor(f"deeptof:width=20000,height=1,steps={steps},read_e=20")
+    modulation, rng = device.modulation, np.random.default_rng(11)
+    for angle in np.arange(n_degrees) * (2 * np.pi / n_degrees):
+        z = np.full((1, 1, 20_000), 1600 * np.exp(1j * angle))
+        clean = modulate(z, 2000.0, modulation.steps_rad)
+        noisy = rng.poisson(clean) + 20 * rng.standard_normal(clean.shape)
+        predicted = demodulate(Taps(clean), device).sigma[0, 0, 0]
+        found = demodulate(Taps(noisy), device)
+        across = (found.values[0, 0] * np.exp(-1j * angle)).imag.astype(float)
+        # The standard error of a variance of n is sqrt(2 / n); 57 draws, so 4 of them.
+        assert abs((across**2).mean() / predicted**2 - 1) < 4 * np.sqrt(2 / across.size)
+        # Each pixel's own noisy taps predict it as well: unbiased but for terms of 1 / A^2.
+        own = (found.sigma.astype(float) ** 2).mean() / predicted**2 - 1
+        assert abs(own) < 0.003
+
+
+def test_sigma_of_three_taps_is_the_closed_form():
+    device = sensor("deeptof:width=60,height=1,steps=three_step,read_e=20")
+    angle = np.arange(60) * (2 * np.pi / 60)
+    taps = Taps(
+        modulate(1600 * np.exp(1j * angle)[None, None], 2000.0, device.modulation.steps_rad)
+    )
+    expected = 2 / 3 * (2000 + 20**2 - 800 * np.cos(3 * angle))
+    assert np.allclose(demodulate(taps, device).sigma[0, 0] ** 2, expected, rtol=2e-6)
+    dark = Taps(np.array([-5.0, np.inf, np.nan, 0.0] * 45).reshape(1, 3, 1, 60))
+    assert demodulate(dark, device).sigma.shape == (1, 1, 60)
+
+
+@pytest.mark.parametrize("scheme", ["four_step", "eight_step", "four_step_0_180_90_270"])
+def test_sigma_of_equispaced_taps_is_that_of_either_part(scheme):
+    device = sensor(f"opt8241:width=40,height=30,steps={scheme},read_e=20")
+    n = device.modulation.n_taps
+    taps = Taps(np.random.default_rng(12).poisson(3000, (2, n, 30, 40)))
+    expected = np.sqrt(2 * (taps.values.astype(float).mean(axis=1) + 20**2) / n)
+    assert np.allclose(demodulate(taps, device).sigma, expected, rtol=1e-6)
 
 
 def test_saturated_pixels_are_invalid_and_dn_taps_are_whole_numbers():

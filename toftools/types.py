@@ -64,7 +64,8 @@ class Phasors:
     values : ndarray, (F, H, W)
         Phasors, complex64, in the unit of the taps they came from.
     sigma : ndarray, (F, H, W), or None
-        Standard deviation of the real and of the imaginary part; None if unknown.
+        Standard deviation across the phasor, which moves its phase: for four or more equispaced
+        taps that of the real and of the imaginary part; None if unknown.
     valid : ndarray, (H, W), bool
         False where the measurement must not be used; non-finite phasors are always invalid.
     """
