@@ -1,9 +1,12 @@
 """Laws that every correction of the registry obeys, whatever its idea."""
 
+import dataclasses
 import functools
 import importlib
 import inspect
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -126,7 +129,8 @@ def test_input_stays_as_it_was_and_the_answer_repeats(name, text):
 
 
 @each_case
-def test_shape_type_and_missing_pixels(name, text):
+@pytest.mark.parametrize("known", [True, False], ids=["sigma", "no_sigma"])
+def test_shape_type_and_missing_pixels(name, text, known):
     sensor = preset(text)
     run, longest = built(name, text), longest_m(name, sensor)
     frame = planted(sensor, smooth(longest))
@@ -134,7 +138,7 @@ def test_shape_type_and_missing_pixels(name, text):
     values[:, 1, 2] = np.nan
     values[:, 2, 3] = 0
     valid[4, 5] = False
-    depth = run(Phasors(values, frame.sigma, valid))
+    depth = run(Phasors(values, frame.sigma if known else None, valid))  # warnings are errors
     missing = np.zeros((H, W), bool)
     missing[[1, 2, 4], [2, 3, 5]] = True
     assert depth.range_m.shape == (H, W)
@@ -239,6 +243,56 @@ def test_one_frequency_is_refused_in_one_sentence(name):
         CORRECTIONS[name].build(preset(ONE))
     assert "1" in str(caught.value) or "20000000" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@each_case
+def test_an_emitter_off_the_camera_is_refused_in_one_sentence(name, text):
+    device = dataclasses.replace(preset(text), emitter_offset_m=(0.2, 0.0, 0.0))
+    with pytest.raises(
+        ValueError, match=r"emitter \(0\.2, 0\.0, 0\.0\) m off the camera"
+    ) as caught:
+        CORRECTIONS[name].build(device)
+    assert "\n" not in str(caught.value)
+
+
+# Compiled kernels are shared by the whole process, so this takes a fresh one.
+COMPILED = """
+import importlib, sys
+import numpy as np
+from toftools.registry import CORRECTIONS
+from toftools.sensors import sensor
+from toftools.types import Phasors
+
+def compiled():
+    modules = [m for name, m in sys.modules.items() if name.startswith("toftools.correct")]
+    return {(m.__name__, key): len(f.signatures) for m in modules for key, f in vars(m).items()
+            if hasattr(f, "signatures")}
+
+for line in sys.argv[1:]:
+    name, text = line.split(" ")
+    device = sensor(text)
+    params = {"grid_m": 0.1} if name.startswith("sra") else {}
+    run = CORRECTIONS[name].build(device, **params)
+    before = compiled()
+    values = np.ones((device.modulation.n_freqs, 6, 8), np.complex64)
+    sigma = np.ones(values.shape, np.float32)
+    for turned in (False, True):
+        if turned:  # arrays that are not contiguous
+            values, sigma = (np.moveaxis(a.T.copy(), 2, 0) for a in (values, sigma))
+        for known in (None, sigma):
+            run(Phasors(values, known))
+            run(Phasors(values[:, ::2, ::2], None if known is None else known[:, ::2, ::2]))
+    grown = {key: n for key, n in compiled().items() if n != before[key]}
+    assert not grown, (name, grown)
+"""
+
+
+def test_nothing_is_compiled_after_making():
+    cases = [f"{name} {text}" for name, text in CASES]
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED, *cases], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @each_case

@@ -167,6 +167,14 @@ def test_crt_reaches_the_bound(contrast, n_taps):
     assert depth.info["residual"].mean() == pytest.approx(2.0, rel=0.03)
 
 
+def test_crt_says_the_bound_of_every_pixel():
+    truth = np.linspace(0.5, 18.0, 60).reshape(6, 10)
+    frame = planted(KINECT, truth, snr=50.0)
+    freqs = preset(KINECT).modulation.freqs_hz
+    bound = crlb_multi_range_m(freqs, np.abs(frame.values) / frame.sigma)
+    assert np.allclose(crt(preset(KINECT))(frame).sigma_m, bound, rtol=1e-5)  # float32 sums
+
+
 @pytest.mark.parametrize(("amplitude_e", "figure_mm"), [(400, 31.7), (1600, 7.88)])
 def test_noise_is_that_of_an_independent_simulation(amplitude_e, figure_mm):
     # 60 MHz, 4 taps, B = 2000 electrons, no read noise; formula 31.4 and 7.86 mm.

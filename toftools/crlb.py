@@ -1,7 +1,8 @@
 """Cramer-Rao bounds of range: one frequency, several frequencies, several returns.
 
-What no unbiased estimator can beat. Tests hold demodulation and unwrapping against them, sigma
-maps come from them, and sparse methods quote the bound of the returns they split.
+What no unbiased estimator can beat: here to be compared with, no method calls them. The `sigma_m`
+of `crt` equals `crlb_multi_range_m` (test_unwrapping.py::test_crt_says_the_bound_of_every_pixel).
+The sparse methods give no sigma; `crlb_returns_m` says how well two returns can be told apart.
 """
 
 import numpy as np

@@ -4,9 +4,72 @@ Every correction says per pixel why there is no answer, in ``info["status"]``: a
 array of the codes below.
 """
 
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toftools.types import DepthMap, Phasors, Sensor
+
 OK = 0
 """The pixel has a range."""
 INVALID = 1
 """The input was invalid or without signal: saturated, missing, zero amplitude."""
 REJECTED = 2
 """The method looked at the pixel and trusts none of its answers."""
+
+
+def refuse_emitter_offset(sensor: Sensor) -> None:
+    """Refuse a sensor whose light does not sit at the camera: no correction can use that.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Sensor of a correction.
+
+    Raises
+    ------
+    ValueError
+        If the emitter is off the camera centre.
+    """
+    if any(sensor.emitter_offset_m):
+        msg = (
+            f"got an emitter {sensor.emitter_offset_m} m off the camera, wanted it at the camera: "
+            "corrections take half the path for the range; set emitter_offset_m to zero to accept "
+            "the error"
+        )
+        raise ValueError(msg)
+
+
+def kernel_input(array: NDArray[Any]) -> NDArray[Any]:
+    """The array as kernels get it, contiguous and read-only: another flavour compiles them anew.
+
+    Parameters
+    ----------
+    array : ndarray
+        Any array.
+
+    Returns
+    -------
+    ndarray
+        A read-only view, of a copy where `array` is not contiguous.
+    """
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+def warm_up(run: Callable[[Phasors], DepthMap], n_freqs: int) -> None:
+    """Call a correction on one pixel, with and without sigma: compiling belongs to making.
+
+    Parameters
+    ----------
+    run : callable
+        The correction.
+    n_freqs : int
+        Frequencies of its sensor.
+    """
+    pixel = np.ones((n_freqs, 1, 1), np.complex64)
+    for sigma in (None, np.ones(pixel.shape, np.float32)):
+        run(Phasors(pixel, sigma))

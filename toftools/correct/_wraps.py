@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
+from toftools.correct import kernel_input
 from toftools.correct._turns import FAST, turns
 from toftools.types import F32, F64, Phasors, Sensor
 from toftools.units import ambiguity_m, joint_ambiguity_m, range_to_phase
@@ -176,15 +177,15 @@ def search(phasors: Phasors, walk: Plan, *, top: int) -> Candidates:
     if n_freqs != walk.ambiguity_m.size:
         msg = f"phasors must have {walk.ambiguity_m.size} frequencies, got {n_freqs}"
         raise ValueError(msg)
-    values = np.ascontiguousarray(phasors.values).view(np.float32).reshape(n_freqs, -1, 2)
+    values = kernel_input(phasors.values).view(np.float32).reshape(n_freqs, -1, 2)
     known = phasors.sigma is not None
-    sigma = np.ascontiguousarray(phasors.sigma) if known else np.zeros((n_freqs, 1), np.float32)
+    sigma = phasors.sigma if phasors.sigma is not None else np.zeros((n_freqs, 1), np.float32)
     range_m = np.empty((top, height * width), np.float32)
     cost = np.empty_like(range_m)
     information = np.empty(height * width, np.float32)
     _search(
         values,
-        sigma.reshape(n_freqs, -1),
+        kernel_input(sigma).reshape(n_freqs, -1),
         known,
         walk.ambiguity_m.astype(np.float32),
         walk.information.astype(np.float32),

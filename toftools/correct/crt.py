@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from toftools.correct import INVALID, OK
+from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
 from toftools.correct._wraps import Candidates, plan, search
 from toftools.types import F32, DepthMap, Phasors, Sensor
 
@@ -50,7 +50,8 @@ def crt(sensor: Sensor, *, max_range_m: float = 0.0) -> Callable[[Phasors], Dept
     Raises
     ------
     ValueError
-        If `max_range_m` is negative, or 0 with frequencies that never repeat together.
+        If `max_range_m` is negative, or 0 with frequencies that never repeat together, or the
+        emitter is not at the camera.
 
     References
     ----------
@@ -66,6 +67,7 @@ def crt(sensor: Sensor, *, max_range_m: float = 0.0) -> Callable[[Phasors], Dept
     >>> round(float(crt(camera)(Phasors(np.exp(1j * phase)[:, None, None])).range_m[0, 0]), 4)
     9.0
     """
+    refuse_emitter_offset(sensor)
     walk = plan(sensor, max_range_m, least_freqs=1, method="crt")
 
     def run(phasors: Phasors) -> DepthMap:
@@ -86,8 +88,7 @@ def crt(sensor: Sensor, *, max_range_m: float = 0.0) -> Callable[[Phasors], Dept
             },
         )
 
-    # The first call compiles: that belongs to making.
-    run(Phasors(np.ones((sensor.modulation.n_freqs, 1, 1), np.complex64)))
+    warm_up(run, sensor.modulation.n_freqs)
     return run
 
 

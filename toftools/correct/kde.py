@@ -24,7 +24,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
-from toftools.correct import INVALID, OK, REJECTED
+from toftools.correct import INVALID, OK, REJECTED, refuse_emitter_offset, warm_up
 from toftools.correct._turns import FAST
 from toftools.correct._wraps import Candidates, Plan, plan, search
 from toftools.types import F32, DepthMap, Phasors, Sensor
@@ -84,7 +84,8 @@ def kde(
     Raises
     ------
     ValueError
-        If there is one frequency only, or a parameter is out of range.
+        If there is one frequency only, a parameter is out of range, or the emitter is not at the
+        camera.
 
     References
     ----------
@@ -100,6 +101,7 @@ def kde(
     >>> round(float(kde(camera)(frame).range_m[0, 0]), 4)
     9.0
     """
+    refuse_emitter_offset(sensor)
     walk = plan(sensor, max_range_m, least_freqs=2, method="kde")
     _check(window_px, hypotheses, threshold, bandwidth_m, model_rad, likelihood_scale, phase_scale)
     spatial = _spatial_weights(window_px)
@@ -132,7 +134,7 @@ def kde(
             info={"status": status, "changed": kept & (best[0] > 0)},
         )
 
-    run(Phasors(np.ones((sensor.modulation.n_freqs, 1, 1), np.complex64)))  # compiles
+    warm_up(run, sensor.modulation.n_freqs)
     return run
 
 
@@ -162,7 +164,9 @@ def _softened(found: Candidates, walk: Plan, model_rad: float, *, known: bool) -
     ``sigma^2 + model^2``; the mean of 1 / sigma^2 over the frequencies stands for each of them.
     """
     snr2 = found.information * np.float32(1 / walk.information.sum())
-    return np.asarray(found.cost / (np.float32(known) + np.float32(model_rad**2) * snr2))
+    dearer = np.float32(known) + np.float32(model_rad**2) * snr2
+    # Pixels without signal have no information and no residual: any positive number will do.
+    return np.asarray(found.cost / np.maximum(dearer, np.float32(1e-30)))
 
 
 def _phase_likelihood(phasors: Phasors, phase_scale: float) -> F32:

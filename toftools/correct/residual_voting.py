@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from toftools.correct import INVALID, OK, REJECTED
+from toftools.correct import INVALID, OK, REJECTED, kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._turns import FAST, turns
 from toftools.correct._wraps import longest_m
 from toftools.types import F32, DepthMap, Phasors, Sensor
@@ -70,7 +70,8 @@ def residual_voting(
     Raises
     ------
     ValueError
-        If the sensor has not three different frequencies, or a threshold is negative.
+        If the sensor has not three different frequencies, a threshold is negative, or the
+        emitter is not at the camera.
 
     References
     ----------
@@ -86,6 +87,7 @@ def residual_voting(
     >>> round(float(run(Phasors(np.exp(1j * phase)[:, None, None])).range_m[0, 0]), 4)
     17.0
     """
+    refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     if freqs.size != 3 or np.unique(freqs).size != 3:
         msg = f"residual_voting needs three different frequencies, got {freqs.tolist()} Hz"
@@ -103,7 +105,7 @@ def residual_voting(
         if phasors.values.shape[0] != freqs.size:
             msg = f"phasors must have {freqs.size} frequencies, got {phasors.values.shape[0]}"
             raise ValueError(msg)
-        values = np.ascontiguousarray(phasors.values[order])
+        values = kernel_input(phasors.values[order])
         range_m, residual = np.empty((2, *phasors.valid.shape), np.float32)
         parts = values.view(np.float32).reshape(3, -1, 2)
         _vote(parts, ambiguity, n_wraps, range_m.reshape(-1), residual.reshape(-1))
@@ -128,7 +130,7 @@ def residual_voting(
             info={"status": status, "residual": residual},
         )
 
-    run(Phasors(np.ones((3, 1, 1), np.complex64)))  # compiles: that belongs to making
+    warm_up(run, freqs.size)
     return run
 
 

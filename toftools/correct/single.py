@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from toftools.correct import INVALID, OK
+from toftools.correct import INVALID, OK, refuse_emitter_offset
 from toftools.phasor import wrapped_range_m
 from toftools.types import DepthMap, Phasors, Sensor
 from toftools.units import ambiguity_m, phase_to_range
@@ -35,7 +35,7 @@ def single(sensor: Sensor, *, freq_index: int = 0) -> Callable[[Phasors], DepthM
     Raises
     ------
     ValueError
-        If the sensor has no such frequency.
+        If the sensor has no such frequency, or its emitter is not at the camera.
 
     References
     ----------
@@ -48,6 +48,7 @@ def single(sensor: Sensor, *, freq_index: int = 0) -> Callable[[Phasors], DepthM
     >>> round(float(run(Phasors(np.full((1, 1, 1), 1j))).range_m[0, 0]), 3)  # quarter of 7.495 m
     1.874
     """
+    refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     if not 0 <= freq_index < freqs.size:
         msg = (

@@ -35,6 +35,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from toftools.correct import kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._sra_grid import GUARD_M, check_parameters, depth_map, usable_pixels
 from toftools.correct._sra_simplex import MOST_RETURNS
 from toftools.correct._sra_table import Table, make_table
@@ -77,7 +78,8 @@ def sra(
     Raises
     ------
     ValueError
-        If there are not two frequencies or a parameter is out of range.
+        If there are not two frequencies, a parameter is out of range, or the emitter is not at
+        the camera.
 
     References
     ----------
@@ -95,6 +97,7 @@ def sra(
     >>> round(float(depth.range_m[0, 0]), 2), int(depth.info["returns"][0, 0])
     (2.0, 2)
     """
+    refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     if freqs.size != 2:
         msg = f"sra needs exactly two frequencies, got {freqs.size}; use 'sra_lp' for more"
@@ -104,13 +107,12 @@ def sra(
 
     def run(phasors: Phasors) -> DepthMap:
         usable = usable_pixels(phasors, 2)
-        flat = np.ascontiguousarray(phasors.values).reshape(2, -1)
+        flat = kernel_input(phasors.values).reshape(2, -1)
         found = look_up(flat, usable.reshape(-1), table, first_share)
         range_m, share, count = (array.reshape(usable.shape) for array in found)
         return depth_map(range_m, share, count, usable)
 
-    # The first call compiles: that belongs to making.
-    run(Phasors(np.ones((2, 1, 1), np.complex64)))
+    warm_up(run, 2)
     return run
 
 

@@ -14,8 +14,9 @@ at every phase. The paper bounds a quadratic form (recalled); the MATLAB re-impl
 published with Su et al. bounds the sum of moduli of all real and imaginary parts (read). That sum
 depends on where the phases happen to lie: of noise-free lone returns at 40/70 MHz it puts 12 %
 more than 0.5 m off when the grid spans the joint ambiguity. (The re-implementation cuts its grid
-to 0.5..1.5 times the true ranges of the frame, which a camera cannot.) Its 1 cm grid, 5 % and
-1 % are our defaults.
+to 0.5..1.5 times the true ranges of the frame, which a camera cannot.) Its 1 cm grid and
+its 5 % for the residual are our defaults; its threshold for the first return, 1 % of the strongest,
+is not: ours is 5 %, because of noise (below).
 
 The optimum need not be unique: where the other phasors are weaker than the first one, all returns
 lie whole turns of the first frequency apart, and four of them can trade amplitude. So a unit of
@@ -46,6 +47,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from toftools.correct import refuse_emitter_offset
 from toftools.correct._sra_grid import (
     SIDES,
     TIE,
@@ -96,13 +98,14 @@ def sra_lp(
     Raises
     ------
     ValueError
-        If there is one frequency only or a parameter is out of range.
+        If there is one frequency only, a parameter is out of range, or the emitter is not at the
+        camera.
 
     References
     ----------
     D. Freedman, Y. Smolin, E. Krupka, I. Leichter, M. Schmidt, "SRA: Fast Removal of General
-    Multipath for ToF Sensors", ECCV 2014, arXiv 1403.5919; defaults: ``scripts/SRA.m`` in the
-    release of S. Su et al., "Deep End-to-End Time-of-Flight Imaging", CVPR 2018.
+    Multipath for ToF Sensors", ECCV 2014, arXiv 1403.5919; grid and epsilon: ``scripts/SRA.m`` in
+    the release of S. Su et al., "Deep End-to-End Time-of-Flight Imaging", CVPR 2018.
 
     Examples
     --------
@@ -114,6 +117,7 @@ def sra_lp(
     >>> round(float(depth.range_m[0, 0]), 2), int(depth.info["returns"][0, 0])
     (2.0, 2)
     """
+    refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     if freqs.size < 2:
         msg = f"sra_lp needs at least two frequencies, got {freqs.size}; use 'single'"
