@@ -183,6 +183,15 @@ def test_depth_only_camera_enters_as_phasors_without_loss():
     assert np.allclose(np.abs(z.values[0])[keep], amplitude[keep], rtol=1e-5)
 
 
+def test_a_range_without_amplitude_is_still_a_range():
+    range_m = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, np.nan]])
+    amplitude = np.array([[50.0, 0.0, np.nan, np.inf, -1.0, 7.0]])
+    z = phasors_of_depth(DepthMap(range_m, amplitude=amplitude), 20e6)
+    assert z.valid.tolist() == [[True] * 5 + [False]]
+    assert np.allclose(np.abs(z.values[0, 0]), [50, 1, 1, 1, 1, 0], rtol=1e-6)
+    assert np.allclose(wrapped_range_m(z.values, [20e6])[0, 0, :5], range_m[0, :5], atol=1e-5)
+
+
 def test_every_preset_has_a_source_and_survives_overrides():
     assert set(PRESETS) == set(SOURCES)
     for name in PRESETS:

@@ -158,7 +158,7 @@ def phasors_of_depth(depth: DepthMap, freq_hz: float) -> Phasors:
     Parameters
     ----------
     depth : DepthMap
-        Range with or without amplitude (1 is taken where there is none).
+        Range with or without amplitude (1 is taken where there is none, or no positive number).
     freq_hz : float
         Frequency whose ambiguity range holds the ranges, Hz.
 
@@ -168,9 +168,10 @@ def phasors_of_depth(depth: DepthMap, freq_hz: float) -> Phasors:
         (1, H, W); pixels without a range are invalid.
     """
     known = np.isfinite(depth.range_m)
-    amplitude = np.ones(known.shape) if depth.amplitude is None else depth.amplitude
+    amplitude = np.ones(known.shape, np.float32) if depth.amplitude is None else depth.amplitude
+    told = np.isfinite(amplitude) & (amplitude > 0)
     angle = range_to_phase(np.where(known, depth.range_m, 0.0), freq_hz)
-    values = np.where(known, amplitude, 0) * np.exp(1j * angle)
+    values = np.where(known, np.where(told, amplitude, 1), 0) * np.exp(1j * angle)
     return Phasors(np.asarray(values[None], dtype=np.complex64), valid=known)
 
 
