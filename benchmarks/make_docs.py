@@ -21,8 +21,9 @@ from toftools.sim.analytic import SCENES
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "full.jsonl"
 SRA_SETTING = "sra:max_range_m=0.0,first_share=0.05"
-KEPT = ("suite", "capture", "capture_id", "group", "method", "params", "against", "status", "error", "setup_s",
-        "first_call_s", "ms", "ms_iqr", "peak_mb", "versions", "machine")  # fmt: skip
+KEPT = ("suite", "capture", "capture_id", "group", "method", "params", "against", "status",
+        "error", "setup_s", "first_call_s", "ms", "ms_iqr", "peak_mb", "versions",
+        "machine")  # fmt: skip
 
 
 def first_sentence(thing):
@@ -97,8 +98,8 @@ def results_md():
         "`input` is the capture unwrapped with nothing done about multipath.",
         measured_on(first),
         f"`{SRA_SETTING}` takes {sra.ms:.1f} ms per 320 x 240 frame at "
-        f"{100 * sra.metrics['mae_m']:.2f} cm MAE. Thesis table 7.1 quotes 31.2 ms for the authors' "
-        "own SRA, on one machine of 2014, with another frame size and other frequencies.",
+        f"{100 * sra.metrics['mae_m']:.2f} cm MAE. Thesis table 7.1 quotes 31.2 ms for the "
+        "authors' own SRA, on one machine of 2014, with another frame size and other frequencies.",
         "Unwrapping against distance and noise: [long_range](long_range/long_range.md).",
     ]
     for name, mine in results_by_group().items():
