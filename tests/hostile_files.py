@@ -11,6 +11,9 @@ import foreign_files as foreign
 
 from toftools.io.native import write_capture
 from toftools.io.open import open_capture
+from toftools.sensors import sensor
+from toftools.sim.analytic import analytic
+from toftools.types import Scene, Shot
 
 
 def claims_npy(folder):
@@ -74,6 +77,35 @@ def claims_native(folder):
     with h5py.File(path, "r+") as file:
         del file["depth/range_m"]
         file.create_dataset("depth/range_m", (1 << 15, 1 << 16), "f4", chunks=(64, 64))
+    return path, None
+
+
+def claims_native_sensor(folder):
+    """A sensor that fits the claim: only the length of the file gives it away."""
+    import h5py
+
+    path = folder / "capture.h5"
+    write_capture(path, open_capture(foreign.npz(folder)))
+    with h5py.File(path, "r+") as file:
+        del file["depth"]
+        if "valid" in file:
+            del file["valid"]
+        file["sensor"].attrs.update(width=16_384, height=16_384)
+        n_freqs = len(file["sensor"].attrs["freqs_hz"])
+        file.create_dataset("phasors", (n_freqs, 16_384, 16_384), "c8", chunks=(1, 64, 64))
+    return path, None
+
+
+def claims_native_links(folder):
+    """One dataset under ten thousand names."""
+    import h5py
+
+    path = folder / "capture.h5"
+    capture = analytic(Scene("wall"))(Shot(sensor("deeptof:width=256,height=256"), noisy=False))
+    write_capture(path, capture)
+    with h5py.File(path, "r+") as file:
+        for number in range(10_000):
+            file[f"reported/{number}"] = file["truth/range_m"]
     return path, None
 
 

@@ -177,6 +177,29 @@ SPOILED = {
     "version": attribute("version", 2, None),
     "no sensor": without("sensor"),
     "no K": lambda file: file["sensor"].attrs.__delitem__("K"),
+    "endless width": attribute("width", np.inf),
+    "broken width": attribute("width", 5.5),
+    "two widths": attribute("width", [5, 5]),
+    "endless version": attribute("version", np.inf, None),
+    "no version": attribute("version", h5py.Empty("f"), None),
+    "endless emitter": attribute("extra", '{"emitter_offset_m": [1e400, 0, 0]}'),
+    "huge emitter": attribute("extra", '{"emitter_offset_m": [1%s, 0, 0]}' % ("0" * 400)),
+    "huge harmonics": attribute(
+        "extra", '{"harmonics_re": [[1, 1%s]], "harmonics_im": [[0, 0]]}' % ("0" * 400)
+    ),
+    "endless harmonics": attribute(
+        "extra", '{"harmonics_re": [[1, 1e999], [1, 0]], "harmonics_im": [[0, 0], [0, 0]]}'
+    ),
+    "harmonics without im": attribute("extra", '{"harmonics_re": [[1], [1]]}'),
+    "noise list": attribute("extra", '{"noise": [1]}'),
+    "noise nan": attribute("extra", '{"noise": {"signal_e": NaN}}'),
+    "phasors of other layers": instead("phasors", np.ones((3, *SHAPE))),
+    "sigma of another shape": instead("sigma", np.ones(SHAPE)),
+    "depth of another shape": instead("depth/range_m", np.ones((7, 5))),
+    "complex valid": instead("valid", np.ones(SHAPE, complex)),
+    "text depth": instead("depth/range_m", [["a"] * 7] * 5),
+    "external link": instead("phasors", h5py.ExternalLink("other.h5", "phasors")),
+    "format array": attribute("format", np.arange(900), None),
     "text width": attribute("width", "wide"),
     "huge width": attribute("width", 10**9),
     "extra": attribute("extra", "{"),
@@ -250,6 +273,104 @@ def test_flipped_bytes(base):
         path.write_bytes(damaged)
         refused_or_read(path)
         is_capture(path)
+
+    check()
+
+
+def test_another_file_is_not_read_through_a_capture(tmp_path):
+    """Links, external storage and virtual datasets could show any file of this machine."""
+    write_capture(tmp_path / "other.h5", whole_capture())
+    path = tmp_path / "c.h5"
+    for change in ("link", "external", "virtual"):
+        write_capture(path, whole_capture())
+        with h5py.File(path, "r+") as file:
+            del file["depth/range_m"]
+            if change == "link":
+                file["depth/range_m"] = h5py.ExternalLink("other.h5", "depth/range_m")
+            elif change == "external":
+                (tmp_path / "raw").write_bytes(bytes(4 * 35))
+                file.create_dataset("depth/range_m", SHAPE, "f4",
+                                    external=[(str(tmp_path / "raw"), 0, 4 * 35)])  # fmt: skip
+            else:
+                layout = h5py.VirtualLayout(SHAPE, "f4")
+                layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "depth/range_m", SHAPE)
+                file.create_virtual_dataset("depth/range_m", layout)
+        with pytest.raises(ValueError, match="must lie in the file itself"):
+            read_capture(path)
+
+
+KEYS = ["taps", "phasors", "sigma", "valid", "depth/range_m", "depth/sigma_m", "depth/confidence",
+        "depth/amplitude", "truth/range_m", "truth/direct", "reported/other"]  # fmt: skip
+DTYPES = ["?", "i1", ">u2", "i8", "f2", ">f4", "f8", "c8", "c16", "S3"]
+NUMBERS = st.one_of(
+    st.floats(), st.integers(-(2**63), 2**63 - 1), st.sampled_from([0, 1, 5, 7, -1, 1e300])
+)
+
+
+def test_arrays_of_any_shape_and_dtype(base):
+    path, whole = base
+    shapes = st.one_of(
+        st.sampled_from([SHAPE, (2, *SHAPE), (2, 4, *SHAPE), (7, 5)]),
+        st.lists(st.integers(0, 8), max_size=5).map(tuple),
+    )
+
+    @FUZZ
+    @given(st.sampled_from(KEYS), shapes, st.sampled_from(DTYPES), NUMBERS, st.booleans())
+    def check(key, shape, dtype, number, chunked):
+        path.write_bytes(whole)
+        with np.errstate(all="ignore"), h5py.File(path, "r+") as file:
+            del file[key]
+            values = np.full(shape, number, dtype="f8").astype(dtype)
+            packed = {"compression": "gzip"} if chunked and values.size and shape else {}
+            file.create_dataset(key, data=values, **packed)
+        refused_or_read(path)
+
+    check()
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.text(max_size=5)
+    | st.sampled_from([0, -1, 2, 10**400, -(10**30)]),
+    lambda inner: st.lists(inner, max_size=4), max_leaves=6,
+)  # fmt: skip
+
+
+def test_attributes_of_any_kind(base):
+    path, whole = base
+    names = [("sensor", name) for name in ("width", "height", "K", "dist", "freqs_hz",
+                                           "steps_rad", "extra")]  # fmt: skip
+    names += [("/", "format"), ("/", "version"), ("/", "provenance"), ("taps", "unit")]
+    values = st.one_of(
+        NUMBERS, st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9),
+        st.binary(min_size=1, max_size=9).map(np.void),
+        st.lists(st.floats(), max_size=9), st.just(h5py.Empty("f8")),
+        st.lists(st.lists(st.floats(), min_size=3, max_size=3), min_size=1, max_size=3),
+    )  # fmt: skip
+
+    @FUZZ
+    @given(st.sampled_from(names), values)
+    def check(name, value):
+        path.write_bytes(whole)
+        with h5py.File(path, "r+") as file:
+            file[name[0]].attrs[name[1]] = value
+        refused_or_read(path)
+        is_capture(path)
+
+    check()
+
+
+def test_extras_of_any_kind(base):
+    path, whole = base
+    keys = ["name", "emitter_offset_m", "harmonics_re", "harmonics_im", "noise"]
+    noise = st.dictionaries(st.sampled_from(list(vars(Noise()))), JSON)
+
+    @FUZZ
+    @given(st.dictionaries(st.sampled_from(keys), JSON | noise))
+    def check(extra):
+        path.write_bytes(whole)
+        with h5py.File(path, "r+") as file:
+            file["sensor"].attrs["extra"] = json.dumps(extra)
+        refused_or_read(path)
 
     check()
 

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from toftools.io._untrusted import check_datasets, json_object, read_sensor, text, whole
 from toftools.io.atomic import atomic_path
 from toftools.types import (
-    Camera,
     Capture,
     DepthMap,
-    Modulation,
     Noise,
     Phasors,
     Sensor,
@@ -26,7 +25,7 @@ from toftools.types import (
 )
 
 FORMAT, VERSION = "toftools-capture", 1
-MAX_ELEMENTS = 1 << 29  # 2 GiB of float32: more is a hostile header, not a frame
+MESSAGE_LENGTH = 300  # an attribute may be as long as the file
 _COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
@@ -147,7 +146,7 @@ def is_capture(path: Path | str) -> bool:
 
     try:
         with h5py.File(path, "r") as file:
-            return _text(file.attrs.get("format", "")) == FORMAT
+            return text(file.attrs.get("format", "")) == FORMAT
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeDecodeError, TypeError):
         return False
 
@@ -179,40 +178,44 @@ def read_capture(path: Path | str) -> Capture:
     try:
         with h5py.File(path, "r") as file:
             return _read(file)
-    except ValueError as error:
-        msg = f"{path.name} is not a readable toftools capture: {error}"
-        raise ValueError(msg) from error
-    except (OSError, RuntimeError, KeyError, TypeError, AttributeError, MemoryError) as error:
-        detail = str(error).strip("\"'").splitlines() or ["damaged"]
-        msg = f"{path.name} is not a readable toftools capture: {detail[0]}"
+    except (
+        ValueError, OSError, RuntimeError, KeyError, TypeError, AttributeError, OverflowError,
+        MemoryError,
+    ) as error:  # fmt: skip
+        detail = " ".join(str(error).strip("\"'").split())[:MESSAGE_LENGTH] or "damaged"
+        msg = f"{path.name} is not a readable toftools capture: {detail}"
         raise ValueError(msg) from error
 
 
 def _read(file: Any) -> Capture:  # noqa: ANN401 - h5py has no types
-    if _text(file.attrs.get("format", "")) != FORMAT:
+    if text(file.attrs.get("format", "")) != FORMAT:
         msg = f"wanted the attribute format={FORMAT!r}, got {file.attrs.get('format')!r}"
         raise ValueError(msg)
-    if int(file.attrs.get("version", -1)) != VERSION:
-        msg = f"got version {file.attrs.get('version')}, this toftools reads version {VERSION}"
+    if whole(file.attrs, "version") != VERSION:
+        msg = f"got version {file.attrs['version']}, this toftools reads version {VERSION}"
         raise ValueError(msg)
-    provenance = json.loads(_text(file.attrs.get("provenance", "{}")))
-    if not isinstance(provenance, dict):
-        msg = "provenance must be a JSON object"
+    if "sensor" not in file:
+        msg = "it has no group /sensor"
         raise ValueError(msg)
+    provenance = json_object(file.attrs, "provenance")
+    sensor = read_sensor(file["sensor"].attrs)
+    check_datasets(file, sensor)
     valid = _dataset(file, "valid", np.bool_)
     taps, phasors = _dataset(file, "taps", np.float32), _dataset(file, "phasors", np.complex64)
-    unit = _text(file["taps"].attrs.get("unit", "DN")) if taps is not None else "DN"
+    unit = text(file["taps"].attrs.get("unit", "DN")) if taps is not None else "DN"
     truth = _dataset(file, "truth/range_m", np.float32)
-    reported = file.get("reported", {})
     return Capture(
-        sensor=_read_sensor(file["sensor"].attrs),
+        sensor=sensor,
         taps=None if taps is None else Taps(taps, unit, valid),
         phasors=None
         if phasors is None
         else Phasors(phasors, _dataset(file, "sigma", np.float32), valid),
         depth=_read_depth(file),
         truth=None if truth is None else Truth(truth, _dataset(file, "truth/direct", np.complex64)),
-        reported={name: _dataset(reported, name, np.float32) for name in reported},
+        reported={
+            name: _dataset(file, f"reported/{name}", np.float32)
+            for name in file.get("reported", ())
+        },
         provenance=provenance,
     )
 
@@ -228,44 +231,9 @@ def _read_depth(file: Any) -> DepthMap | None:  # noqa: ANN401
     return DepthMap(range_m, **extras)
 
 
-def _dataset(group: Any, name: str, dtype: Any) -> Any:  # noqa: ANN401
-    """One dataset as `dtype`, or None; its declared size is checked before it is read."""
-    if name not in group:
+def _dataset(file: Any, name: str, dtype: Any) -> Any:  # noqa: ANN401
+    """One dataset as `dtype`, or None; `check_datasets` has looked at it."""
+    if name not in file:
         return None
-    dataset = group[name]
-    shape = getattr(dataset, "shape", None)
-    if shape is None:
-        msg = f"/{name} must be a dataset, got a group"
-        raise ValueError(msg)
-    if int(np.prod(shape, dtype=object)) > MAX_ELEMENTS:
-        msg = f"/{name} claims shape {shape}, more than {MAX_ELEMENTS} elements"
-        raise ValueError(msg)
-    if dataset.dtype.kind not in "buifc":
-        msg = f"/{name} must hold numbers, got {dataset.dtype}"
-        raise ValueError(msg)
-    if dataset.dtype.kind == "c" and np.dtype(dtype).kind != "c":
-        msg = f"/{name} must be real, got {dataset.dtype}"
-        raise ValueError(msg)
-    return np.asarray(dataset[()], dtype=dtype)
-
-
-def _read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
-    extra = json.loads(_text(attrs.get("extra", "{}")))
-    harmonics = None
-    if "harmonics_re" in extra:
-        harmonics = np.asarray(extra["harmonics_re"]) + 1j * np.asarray(extra["harmonics_im"])
-    noise = {key: val for key, val in extra.get("noise", {}).items()
-             if key in Noise.__dataclass_fields__}  # fmt: skip
-    return Sensor(
-        camera=Camera(
-            int(attrs["width"]), int(attrs["height"]), attrs["K"], attrs.get("dist", np.zeros(0))
-        ),
-        modulation=Modulation(attrs["freqs_hz"], attrs["steps_rad"], harmonics),
-        noise=Noise(**noise),
-        emitter_offset_m=tuple(extra.get("emitter_offset_m", (0.0, 0.0, 0.0))),
-        name=str(extra.get("name", "custom")),
-    )
-
-
-def _text(value: Any) -> str:  # noqa: ANN401
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
+    with np.errstate(over="ignore", invalid="ignore"):  # 1e300 becomes infinite, so no answer
+        return np.asarray(file[name][()], dtype=dtype)
