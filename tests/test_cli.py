@@ -9,7 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
+from toftools.camera import rays
 from toftools.cli import VERBS, main
+from toftools.sensors import sensor
 
 
 def run(*args):
@@ -158,6 +160,8 @@ TYPED = [
     (["simulate", "wall:range=1+2"], "wanted a number"),
     (["simulate", "wall:ambient_e=x"], "got ambient_e='x', wanted a number"),
     (["simulate", "wall:ambient_e=-1"], "must be non-negative"),
+    (["simulate", "room.xml"], "scene files need a rendering engine, which this version does not"),
+    (["simulate", "scenes/room"], "scene files need a rendering engine"),
     (["simulate", "wall:kind"], "wanted key=value"),
     (["simulate", "wall:range=2,range=3"], "got range twice"),
     (["simulate", "corner:angle=x"], "got angle='x', wanted a number such as 90"),
@@ -238,6 +242,22 @@ def test_a_method_in_the_current_folder_is_found_by_the_installed_command(captur
     (tmp_path / "suite.toml").write_text(suite)
     done = console(tmp_path, "bench", "run", "suite.toml", "--out", "b", "--threads", "1")
     assert done.returncode == 0, done.stderr
+
+
+def test_the_wide_lens_is_known_in_every_pixel():
+    """Distortion that folds back would leave pixels without a ray; angles as solved by hand."""
+    directions = rays(sensor("adtf3175").camera)
+    assert np.isfinite(directions).all()
+    y, x = 258, 511  # x / z of the last column by bisection of x D(x^2) = (511 - cx) / fx
+    low, high, goal = 0.0, 5.0, (511 - 259.898773) / 252.511383
+    for _ in range(60):
+        r = (low + high) / 2
+        bent = r * (1 + 0.23696414 * r**2 - 0.01807739 * r**4 + 0.00173649 * r**6)
+        bent /= 1 + 0.5738449 * r**2 - 0.00448902 * r**4 + 0.00164395 * r**6
+        low, high = (r, high) if bent < goal else (low, r)
+    # The row lies 0.48 px off the axis, which turns the ray by less than 1e-3.
+    assert directions[y, x, 0] / directions[y, x, 2] == pytest.approx(low, rel=1e-3)
+    assert np.degrees(np.arccos(directions[y, 0] @ directions[y, x])) == pytest.approx(119.8, abs=1)
 
 
 def test_whole_floats_and_endless_wells_are_fine(capsys, capture_file, tmp_path):

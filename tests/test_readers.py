@@ -1,6 +1,8 @@
 """Every foreign format yields the planted numbers; its convention is explicit."""
 
+import importlib
 import json
+import re
 import struct
 
 import foreign_files as foreign
@@ -349,3 +351,11 @@ def test_a_format_that_makes_no_sense_is_refused(text, words, tmp_path):
     with pytest.raises(ValueError, match=words) as caught:
         open_capture(foreign.depth_png(tmp_path), text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_first_sentence_of_a_reader_says_what_it_reads(name):
+    """The docs cut it at the first full stop with a blank, so it must hold no abbreviation."""
+    module = importlib.import_module(READERS[name].target.partition(":")[0])
+    sentence = re.split(r"(?<=\.)\s", module.__doc__)[0]
+    assert len(sentence.split()) > 5

@@ -118,3 +118,17 @@ def test_real_files_of_other_kinds_are_not_taken_for_recordings():
     ]:
         with pytest.raises(ValueError, match="no reader recognises it"):
             open_capture(real(*parts))
+
+
+def test_real_adi_lens_is_that_of_the_preset():
+    from scipy.io import loadmat
+
+    from toftools.sensors import sensor
+
+    name = "examples_tof-viewer_external_FSF_src_ccb_example_1_CCB_1909-0240034.mat"
+    path = real("adi_adtf3175", name)
+    block = loadmat(path, squeeze_me=True, struct_as_record=False)["cal"].GeometricCalibration
+    camera = sensor("adtf3175:width=1024,height=1024").camera
+    expected = [[block.fx, 0, block.px], [0, block.fy, block.py], [0, 0, 1]]
+    np.testing.assert_allclose(camera.K, expected, atol=1e-5)
+    np.testing.assert_allclose(np.delete(camera.dist, [2, 3]), block.k, atol=1e-8)

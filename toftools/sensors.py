@@ -47,11 +47,12 @@ def _mlx75027() -> Sensor:
 
 
 def _adtf3175() -> Sensor:
-    # The 1024 x 1024 calibration block, halved to the 512 x 512 binned mode; pixel centres at
-    # integers make the binned centre (c + 0.5) / 2 - 0.5.
-    camera = _camera(512, 512, 252.51, 252.60, 259.90, 258.475)
-    return Sensor(camera, Modulation(np.array([198e6, 189e6, 54e6]), SCHEMES["three_step"]),
-                  ASSUMED_NOISE)  # fmt: skip
+    # Six radial terms k1..k6 of the block; OpenCV wants k1 k2 p1 p2 k3 k4 k5 k6.
+    dist = [0.23696414, -0.01807739, 0, 0, 0.00173649, 0.5738449, -0.00448902, 0.00164395]
+    K = [[505.022766, 0, 520.297546], [0, 505.198730, 517.454468], [0, 0, 1.0]]
+    whole = Camera(1024, 1024, np.array(K), np.array(dist))
+    modulation = Modulation(np.array([198e6, 189e6, 54e6]), SCHEMES["three_step"])
+    return Sensor(resized(whole, 512, 512), modulation, ASSUMED_NOISE)
 
 
 def _pmd() -> Sensor:
@@ -94,8 +95,10 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         "opt8241": "320x240, 40+70 MHz, f = 230 px: Su et al., CVPR 2018 release (rough optics)",
         "mlx75027": "640x480, 60 MHz, tap order 0/180/90/270: dartmouth-risc-lab/snapshot-lidar; "
         "field of view assumed",
-        "adtf3175": "198/189/54 MHz and optics: ADI factory block CCB_1909-0240034, 512x512 mode; "
-        "tap scheme assumed",
+        "adtf3175": "198/189/54 MHz, focal lengths, centre and radial distortion k1..k6 (120 "
+        "degrees across): ADI factory block CCB_1909-0240034 of 2019 (analogdevicesinc/ToF, MIT), binned "
+        "to 512x512; its tangential terms, whose order is not documented, and its centre of "
+        "distortion, which OpenCV has not, are left out (below 0.3 px each); tap scheme assumed",
         "pmd": "240x180, 45.18 + 37.65 MHz, joint range 19.9 m: pmd Royale modes; field of view "
         "assumed",
         "deeptof": "256x256, 20 MHz: Marco et al., DeepToF, SIGGRAPH Asia 2017; field of view "

@@ -9,6 +9,7 @@ form: use a rendering engine there.
 """
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -52,6 +53,12 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
     ValueError
         If the scene or a parameter is unknown or out of range.
     """
+    if scene.name not in SCENES and (Path(scene.name).suffix or "/" in scene.name):
+        msg = (
+            f"got the file {scene.name!r}: scene files need a rendering engine, which this version "
+            f"does not have; known scenes: {', '.join(SCENES)}"
+        )
+        raise ValueError(msg)
     if scene.name not in SCENES:
         msg = f"no closed form for scene {scene.name!r}; known: {', '.join(SCENES)}"
         raise ValueError(msg)

@@ -1,4 +1,4 @@
-"""Su et al. (CVPR 2018) image pairs: unit phasors at 40 and 70 MHz beside a distance image.
+"""Image pairs by Su and others (CVPR 2018): phasors at 40 and 70 MHz beside a distance image.
 
 Layout: MATLAB v5, key ``im_pair`` (5, H, 2 W). Left half, channels 0..3 in [0, 1]: I40, I70, Q40,
 Q70, each mapped by 2x - 1 (both I first); channel 4: 40 MHz amplitude scaled to [0, 1]. Right half:
