@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -11,7 +12,9 @@ import pytest
 
 from toftools.camera import rays
 from toftools.cli import VERBS, main
-from toftools.sensors import sensor
+from toftools.registry import CORRECTIONS, READERS
+from toftools.sensors import PRESETS, sensor
+from toftools.sim.analytic import SCENES
 
 
 def run(*args):
@@ -42,6 +45,17 @@ def test_every_verb_has_help(capsys, verb):
     code, out, _ = call(capsys, verb, "--help")
     assert code == 0
     assert "Usage: toftools" in out
+
+
+def test_help_names_what_can_be_typed(capsys):
+    def help_of(verb):
+        return call(capsys, verb, "--help")[1]
+
+    assert "two_returns:range=2,extra=0.7,ratio=0.3,albedo=0.5\n" in help_of("simulate")
+    named = [(SCENES, "simulate"), (PRESETS, "simulate"), (CORRECTIONS, "correct"),
+             (READERS, "convert"), (READERS, "inspect"), (READERS, "cloud")]  # fmt: skip
+    for words, verb in named:
+        assert set(words) <= set(re.findall(r"\w+", help_of(verb)))
 
 
 def test_version_and_unknown_verb(capsys):

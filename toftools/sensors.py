@@ -96,8 +96,8 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         "mlx75027": "640x480, 60 MHz, tap order 0/180/90/270: dartmouth-risc-lab/snapshot-lidar; "
         "field of view assumed",
         "adtf3175": "198/189/54 MHz, focal lengths, centre and radial distortion k1..k6 (120 "
-        "degrees across): ADI factory block CCB_1909-0240034 of 2019 (analogdevicesinc/ToF, MIT), binned "
-        "to 512x512; its tangential terms, whose order is not documented, and its centre of "
+        "degrees across): ADI factory block CCB_1909-0240034 of 2019 (analogdevicesinc/ToF, MIT), "
+        "binned to 512x512; its tangential terms, whose order is not documented, and its centre of "
         "distortion, which OpenCV has not, are left out (below 0.3 px each); tap scheme assumed",
         "pmd": "240x180, 45.18 + 37.65 MHz, joint range 19.9 m: pmd Royale modes; field of view "
         "assumed",

@@ -8,13 +8,22 @@ from typing import TYPE_CHECKING
 
 import click
 
+from toftools.registry import READERS
+
 if TYPE_CHECKING:
     from toftools.types import F32, Camera, Capture, DepthMap
 
 SUFFIXES = (".ply", ".png", ".html")
 
 
-@click.command()
+EPILOG = f"""Formats: {", ".join(READERS)}; docs/methods.md lists the keys of each, and so does the
+error about a wrong one.
+
+Example: toftools cloud answer.npz --colour amplitude --out cloud.html
+"""
+
+
+@click.command(epilog=EPILOG)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--out", default=None, type=click.Path(path_type=Path, dir_okay=False),
               help="Cloud (.ply), picture (.png), or page to turn and zoom (.html).")  # fmt: skip

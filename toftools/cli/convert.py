@@ -4,8 +4,16 @@ from pathlib import Path
 
 import click
 
+from toftools.registry import READERS
 
-@click.command()
+EPILOG = f"""Formats: {", ".join(READERS)}; docs/methods.md lists the keys of each, and so does the
+error about a wrong one.
+
+Example: toftools convert scene.png --format depth_png:scale=5000,hfov_deg=57 --out c.h5
+"""
+
+
+@click.command(epilog=EPILOG)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False),
               help="Capture file, *.h5.")  # fmt: skip

@@ -5,8 +5,17 @@ from pathlib import Path
 
 import click
 
+from toftools.registry import CORRECTIONS, READERS
 
-@click.command()
+EPILOG = f"""Methods: {", ".join(CORRECTIONS)}, or your own function as module:function,
+found in the current folder too. Formats: {", ".join(READERS)}. docs/methods.md lists the keys of each, and so does the
+error about a wrong one.
+
+Example: toftools correct c.h5 --method crt:max_range_m=5 --out answer.npz
+"""
+
+
+@click.command(epilog=EPILOG)
 @click.argument("capture_file", type=click.Path(path_type=Path))
 @click.option("--method", default="crt", show_default=True, metavar="NAME[:k=v,...]",
               help="A registered method, or mypkg.mine:make.")  # fmt: skip

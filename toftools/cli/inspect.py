@@ -5,11 +5,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from toftools.registry import READERS
+
 if TYPE_CHECKING:
     from toftools.types import Camera
 
 
-@click.command()
+EPILOG = f"""Formats: {", ".join(READERS)}; docs/methods.md lists the keys of each, and so does the
+error about a wrong one.
+
+Example: toftools inspect Scene_phase0_avg.npy --reference Scene_dist_avg.npy
+"""
+
+
+@click.command(epilog=EPILOG)
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--reference", type=click.Path(path_type=Path), default=None,
               help="Distances of the same scene, to judge the convention by.")  # fmt: skip

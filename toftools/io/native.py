@@ -25,7 +25,7 @@ from toftools.types import (
 )
 
 FORMAT, VERSION = "toftools-capture", 1
-MESSAGE_LENGTH = 300  # an attribute may be as long as the file
+MESSAGE_LENGTH = 400  # an attribute may be as long as the file
 _COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
