@@ -8,8 +8,8 @@ import click
 from toftools.registry import CORRECTIONS, READERS
 
 EPILOG = f"""Methods: {", ".join(CORRECTIONS)}, or your own function as module:function,
-found in the current folder too. Formats: {", ".join(READERS)}. docs/methods.md lists the keys of each, and so does the
-error about a wrong one.
+found in the current folder too. Formats: {", ".join(READERS)}. docs/methods.md
+lists the keys of each, and so does the error about a wrong one.
 
 Example: toftools correct c.h5 --method crt:max_range_m=5 --out answer.npz
 """
