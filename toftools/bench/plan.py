@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from toftools._params import checked_params
 from toftools.bench.fingerprint import capture_digest, digest, package_digest
 from toftools.bench.references import REFERENCES
 from toftools.bench.suite import Source, Suite, expand, points, spec_of
@@ -114,7 +115,7 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     """
     methods = (*suite.methods, *extra_methods)
     for text in methods:
-        check_method(text)
+        check_method(suite, text)
     make_folders(out)
     captures = [item for source in suite.sources for item in _ingest(source, suite, out)]
     if not captures:
@@ -177,11 +178,13 @@ def _applies(method: str, params: Mapping[str, Any], item: Mapping[str, Any]) ->
     return bool(item["truth"]) and int(params.get("freq_index", 0)) < int(item["n_freqs"])
 
 
-def check_method(text: str) -> None:
-    """Refuse a method that cannot be loaded or has not the parameters given.
+def check_method(suite: Suite, text: str) -> None:
+    """Refuse a method that cannot be loaded, or parameters and dials that it does not take.
 
     Parameters
     ----------
+    suite : Suite
+        Gives the dials.
     text : str
         Method as typed.
 
@@ -192,11 +195,8 @@ def check_method(text: str) -> None:
     """
     spec = spec_of(text)
     known = parameters_of(spec.load())
-    for key in spec.params:
-        if key not in known:
-            wanted = ", ".join(known) or "none"
-            msg = f"{spec.name} has no parameter {key!r}; it takes: {wanted}"
-            raise ValueError(msg)
+    for name, params in points(suite, text):
+        checked_params(name, known, params)
 
 
 def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:
