@@ -46,9 +46,10 @@ def write_capture(path: Path | str, capture: Capture) -> None:
     """
     import h5py
 
-    # In memory first: HDF5 itself crashes the process when the disk fills up under it.
+    # In memory first: HDF5 itself crashes the process when the disk fills up under it. Headers of
+    # version 1.8 carry checksums: HDF5 loops for ever on some flipped bits of the older ones.
     image = io.BytesIO()
-    with h5py.File(image, "w") as file:
+    with h5py.File(image, "w", libver=("v108", "v108")) as file:
         file.attrs.update(format=FORMAT, version=VERSION, provenance=_dump(capture.provenance))
         _write_sensor(file.create_group("sensor"), capture.sensor)
         for name, array, attrs in _arrays(capture):
