@@ -277,6 +277,28 @@ def test_flipped_bytes(base):
     check()
 
 
+def test_a_heap_on_which_the_library_would_run_forever_is_refused(base):
+    """Free space of size 0: HDF5 2.0.0 walks it on the spot, which no time limit in here stops."""
+    path, whole = base
+    heap = whole.index(b"GCOL")
+    first = heap + 16  # index 2 bytes, references 2, reserved 4, size 8
+    damaged = bytearray(whole)
+    damaged[first : first + 16] = bytes(16)
+    path.write_bytes(damaged)
+    with pytest.raises(ValueError, match=f"heap at byte {heap} is damaged"):
+        read_capture(path)
+    assert not is_capture(path)
+
+
+def test_heaps_within_heaps_take_no_time(tmp_path):
+    """A megabyte of marks, each claiming the whole file: a walk of every one would be 5e8 steps."""
+    mark = b"GCOL\x01\0\0\0" + (1 << 20).to_bytes(8, "little")
+    around = b"\x01" + bytes(7) + len(mark).to_bytes(8, "little")  # an object that holds the mark
+    (tmp_path / "c.h5").write_bytes((around + mark) * (1 << 15))
+    with pytest.raises(ValueError, match="is damaged"):
+        read_capture(tmp_path / "c.h5")
+
+
 def test_another_file_is_not_read_through_a_capture(tmp_path):
     """Links, external storage and virtual datasets could show any file of this machine."""
     write_capture(tmp_path / "other.h5", whole_capture())

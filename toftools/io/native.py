@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.io._hdf5 import opened
 from toftools.io._untrusted import check_datasets, json_object, read_sensor, text, whole
 from toftools.io.atomic import atomic_path
 from toftools.types import (
@@ -143,10 +144,8 @@ def is_capture(path: Path | str) -> bool:
     bool
         True if it is HDF5 with our format attribute.
     """
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with opened(Path(path)) as file:
             return text(file.attrs.get("format", "")) == FORMAT
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeDecodeError, TypeError):
         return False
@@ -170,14 +169,12 @@ def read_capture(path: Path | str) -> Capture:
     ValueError
         If the file is missing, truncated, of another format or version, or inconsistent.
     """
-    import h5py
-
     path = Path(path)
     if not path.is_file():
         msg = f"no such file: {path}"
         raise ValueError(msg)
     try:
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             return _read(file)
     except (
         ValueError, OSError, RuntimeError, KeyError, TypeError, AttributeError, OverflowError,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from toftools.camera import pinhole
+from toftools.io._hdf5 import opened
 from toftools.io.readers._file import (
     MAX_PIXELS,
     depth_sensor,
@@ -44,10 +45,8 @@ def sniff(path: Path, head: bytes) -> bool:
     """
     if not head.startswith(_MAGIC):
         return False
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             return "frames_0" in file and "mod_frequency" in file.attrs
     except (*_H5_ERRORS, ValueError):
         return False
@@ -75,10 +74,8 @@ def read(path: Path | str, *, frame: int = 0, hfov_deg: float = 50.0) -> Capture
     ValueError
         If the file is damaged, not of amplitudes, or has no such frame.
     """
-    import h5py
-
     path = existing_file(path)
-    with parsing(path, "espros_h5", *_H5_ERRORS), h5py.File(path, "r") as file:
+    with parsing(path, "espros_h5", *_H5_ERRORS), opened(path) as file:
         return _capture(path, file, frame, hfov_deg)
 
 
