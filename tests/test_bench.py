@@ -15,13 +15,13 @@ from toftools.bench.plan import Point, make_plan, read_plan
 from toftools.bench.references import oracle_wrap, reported
 from toftools.bench.render import markdown_table, text_table
 from toftools.bench.run import Settings, is_finished, only_run, read_result, run_points
-from toftools.bench.score import read_rows, score, uncorrected
+from toftools.bench.score import read_rows, reference_of, score, uncorrected
 from toftools.bench.suite import built_in, load_suite, points
 from toftools.bench.table import groups, label_of, summarise, unsuited
 from toftools.io.native import write_capture
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
-from toftools.types import Capture, Scene, Shot
+from toftools.types import Capture, DepthMap, Scene, Shot
 
 SUITE = """
 name = "tiny"
@@ -394,3 +394,21 @@ def test_captures_with_truth_and_without_are_not_averaged_together():
     assert {name: len(mine) for name, mine in groups(rows).items()} == {
         "g": 2, "g, against the camera's own distance": 1
     }  # fmt: skip
+
+
+def test_a_damaged_answer_is_named_and_run_again(finished):
+    out, plan, _, _, _ = finished
+    point = next(p for p in plan if p.method == "single")
+    answer = out / "runs" / f"{point.key}.npz"
+    answer.write_bytes(b"garbage")
+    with pytest.raises(ValueError, match="is damaged; delete it and run the suite again"):
+        score(out)
+    assert not is_finished(out, point, SETTINGS.fingerprint(point))
+    run_points([point], out, SETTINGS, lambda *_: None)
+    assert score(out)
+
+
+def test_a_depth_only_capture_is_not_scored_against_itself():
+    depth = DepthMap(np.full((6, 8), 1.5))
+    capture = Capture(sensor("deeptof:width=8,height=6"), depth=depth)
+    assert reference_of(capture) == (None, "nothing")

@@ -297,3 +297,47 @@ def test_full_disk_leaves_nothing_behind(capture_file, tmp_path):
     assert "Traceback" not in done.stderr
     assert "big.h5" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_output_never_replaces_a_device_or_the_input_and_follows_links(
+    capsys, capture_file, tmp_path
+):
+    import os
+
+    fifo = tmp_path / "pipe.npz"
+    os.mkfifo(fifo)
+    code, _, err = call(capsys, "correct", capture_file, "--out", fifo)
+    assert code == 2
+    assert "not a plain file" in err
+    assert fifo.is_fifo()
+    mine = tmp_path / "mine.h5"
+    mine.write_bytes(capture_file.read_bytes())
+    code, _, err = call(capsys, "correct", mine, "--out", mine)
+    assert code == 2
+    assert "which is the input" in err
+    assert mine.read_bytes() == capture_file.read_bytes()
+    (tmp_path / "link.npz").symlink_to(tmp_path / "target.npz")
+    code, _, _ = call(capsys, "correct", capture_file, "--out", tmp_path / "link.npz")
+    assert code == 0
+    assert (tmp_path / "link.npz").is_symlink()
+    assert (tmp_path / "target.npz").is_file()
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "message"),
+    [
+        ("def make(:", 2, "cannot load method 'planted_user:make': SyntaxError"),
+        ("raise KeyError('x')", 2, "cannot load method 'planted_user:make': KeyError"),
+        ("def make(s):\n    return lambda z: 1 / 0", 1, "failed: ZeroDivisionError"),
+        ("def make(s):\n    return 5", 1, "failed: TypeError"),
+    ],
+)
+def test_a_users_method_that_fails_is_one_line(tmp_path, capture_file, body, code, message):
+    (tmp_path / "planted_user.py").write_text(body)
+    command = [sys.executable, "-m", "toftools", "correct", str(capture_file), "--method",
+               "planted_user:make", "--out", "x.npz"]  # fmt: skip
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "x.npz").exists()

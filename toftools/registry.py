@@ -59,8 +59,9 @@ class Spec:
         module, _, function = self.target.partition(":")
         try:
             make = getattr(importlib.import_module(module), function)
-        except (ImportError, AttributeError) as error:
-            msg = f"cannot load method {self.target!r}: {error}"
+        except Exception as error:  # importing a user's file may raise anything
+            detail = f"{type(error).__name__}: {error}"
+            msg = f"cannot load method {self.target!r}: {' '.join(detail.split())}"
             raise ValueError(msg) from error
         if not callable(make):
             msg = f"cannot load method {self.target!r}: got {make!r}, wanted a function"

@@ -6,6 +6,7 @@ what the first one made.
 
 import json
 import logging
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -134,7 +135,11 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
         {
             "suite": suite.name,
             "repeats": suite.repeats,
-            "mask": {"min_range_m": suite.min_range_m, "max_range_m": suite.max_range_m},
+            # JSON has no infinity: no limit is null.
+            "mask": {
+                "min_range_m": suite.min_range_m,
+                "max_range_m": suite.max_range_m if math.isfinite(suite.max_range_m) else None,
+            },
             "captures": captures,
             "points": [asdict(point) for point in plan],
         },
@@ -162,6 +167,8 @@ def read_plan(out: Path) -> tuple[dict[str, Any], list[Point]]:
     """
     try:
         plan = json.loads((out / "plan.json").read_text(encoding="utf-8"))
+        if plan["mask"]["max_range_m"] is None:
+            plan["mask"]["max_range_m"] = math.inf
         return plan, [Point(**point) for point in plan["points"]]
     except FileNotFoundError:
         msg = f"no benchmark in {out}; start with: toftools bench run SUITE --out {out}"

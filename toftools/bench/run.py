@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -87,7 +88,7 @@ def is_finished(out: Path, point: Point, fingerprint: str) -> bool:
     if result is None or result.get("fingerprint") != fingerprint:
         return False
     if result["status"] == "ok":
-        return result_path(out, point).with_suffix(".npz").exists()
+        return zipfile.is_zipfile(result_path(out, point).with_suffix(".npz"))
     return bool(result["status"] == "unsuited")
 
 

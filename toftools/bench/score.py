@@ -7,6 +7,8 @@ multipath. Captures without truth are compared with the camera's own distance, a
 """
 
 import json
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -43,7 +45,9 @@ def reference_of(capture: Capture) -> tuple[Truth | None, str]:
     """
     if capture.truth is not None:
         return capture.truth, "truth"
-    if capture.depth is not None and np.isfinite(capture.depth.range_m).any():
+    raw = capture.taps is not None or capture.phasors is not None
+    # A depth-only capture is its own input: scored against itself every method would be perfect.
+    if raw and capture.depth is not None and np.isfinite(capture.depth.range_m).any():
         return Truth(capture.depth.range_m), "camera"
     return None, "nothing"
 
@@ -213,9 +217,18 @@ def read_answer(path: Path) -> DepthMap:
     -------
     DepthMap
         Range, sigma, confidence.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged.
     """
-    with np.load(path, allow_pickle=False) as stored:
-        return DepthMap(**{name: stored[name] for name in stored.files})
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return DepthMap(**{name: stored[name] for name in stored.files})
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        msg = f"{path} is damaged; delete it and run the suite again"
+        raise ValueError(msg) from error
 
 
 def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value

@@ -41,7 +41,7 @@ class _Lazy(click.Group):
 @click.option("-v", "--verbose", is_flag=True, help="More messages on stderr.")
 @click.version_option(package_name="toftools", prog_name="toftools")
 def cli(*, verbose: bool) -> None:
-    """Simulate, calibrate, correct and benchmark AMCW time-of-flight cameras."""
+    """Simulate, correct and benchmark AMCW time-of-flight cameras."""
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(levelname)s: %(message)s",
@@ -75,5 +75,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     except (OSError, RuntimeError, MemoryError) as error:
         detail = " ".join(str(error).split()) or type(error).__name__
         click.echo(f"failed: {detail}", err=True)
+        sys.exit(1)
+    except Exception as error:  # a user's method may raise anything; --verbose shows where
+        logging.getLogger(__name__).info("details", exc_info=True)
+        detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        click.echo(f"failed: {detail} (toftools --verbose shows where)", err=True)
         sys.exit(1)
     sys.exit(status if isinstance(status, int) else 0)

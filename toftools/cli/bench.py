@@ -36,8 +36,8 @@ _RUN_OPTIONS: list[Callable[[Any], Any]] = [
                  help="A method on top of the suite's."),
     click.option("--threads", type=click.IntRange(min=1), default=os.cpu_count() or 1,
                  show_default="all cores", help="Threads each method may use."),
-    click.option("--timeout", "timeout_s", type=float, default=900.0, show_default=True,
-                 help="Seconds one point may take."),
+    click.option("--timeout", "timeout_s", type=click.FloatRange(0.1, 1e6), default=900.0,
+                 show_default=True, help="Seconds one point may take."),
 ]  # fmt: skip
 
 

@@ -7,6 +7,8 @@ import click
 
 from toftools.registry import CORRECTIONS, READERS
 
+SUFFIXES = (".npz", ".png", ".ply", ".h5")
+
 EPILOG = f"""Methods: {", ".join(CORRECTIONS)}, or your own function as module:function,
 found in the current folder too. Formats: {", ".join(READERS)}. docs/methods.md
 lists the keys of each, and so does the error about a wrong one.
@@ -34,6 +36,12 @@ def command(
     from toftools.io.export import write_answer
     from toftools.io.open import open_capture
 
+    if out.suffix.lower() not in SUFFIXES:
+        msg = f"got --out {out.name}; the suffix must be one of {', '.join(SUFFIXES)}"
+        raise ValueError(msg)
+    if out.exists() and capture_file.exists() and out.samefile(capture_file):
+        msg = f"got --out {out.name}, which is the input; choose another name"
+        raise ValueError(msg)
     capture = open_capture(capture_file, format_text)
     depth = answered(capture, method)
     write_answer(out, depth, capture)

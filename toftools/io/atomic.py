@@ -24,7 +24,8 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     Raises
     ------
     ValueError
-        If the folder does not exist or cannot be written, or the disk is full.
+        If the folder does not exist or cannot be written, the target is a folder or a device, or
+        the disk is full.
 
     Examples
     --------
@@ -35,7 +36,10 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     >>> sorted(p.name for p in folder.iterdir())
     ['a.txt']
     """
-    target = Path(target)
+    target = Path(target).resolve()  # a link keeps pointing at what is replaced
+    if target.exists() and not target.is_file():
+        msg = f"cannot write {target}: it is there and not a plain file; choose another name"
+        raise ValueError(msg)
     try:
         handle, name = tempfile.mkstemp(
             dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix
