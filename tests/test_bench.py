@@ -412,3 +412,13 @@ def test_a_depth_only_capture_is_not_scored_against_itself():
     depth = DepthMap(np.full((6, 8), 1.5))
     capture = Capture(sensor("deeptof:width=8,height=6"), depth=depth)
     assert reference_of(capture) == (None, "nothing")
+
+
+def test_the_documented_suite_is_a_suite(tmp_path):
+    page = Path(__file__).parent.parent / "docs" / "benchmark.md"
+    text = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    (tmp_path / "mine.toml").write_text(text)
+    suite = load_suite(str(tmp_path / "mine.toml"))
+    assert len(suite.sources) == 4
+    assert suite.grid["crt"]["max_range_m"] == (5.0, 10.0, 0.0)
+    assert suite.max_range_m == 9.9
