@@ -255,6 +255,17 @@ def test_a_changed_capture_file_is_a_new_capture(tmp_path):
     assert read_plan(tmp_path / "out")[0]["captures"][0]["group"] == "captures"
 
 
+def test_a_stray_file_beside_the_captures_replaces_no_library(tmp_path):
+    (tmp_path / "h5py.py").write_text("raise SystemExit('shadowed')\n")
+    (tmp_path / "s.toml").write_text(
+        'sensor = "deeptof:width=8,height=6"\nscenes = ["wall:range=2"]\nmethods = ["single"]\n'
+    )
+    command = [sys.executable, "-P", "-m", "toftools", "bench", "run", "s.toml", "--out", "o"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all(json.loads(p.read_text())["status"] == "ok" for p in tmp_path.glob("o/runs/*.json"))
+
+
 def test_two_runs_in_one_folder_are_refused(tmp_path):
     with (
         only_run(tmp_path),

@@ -21,7 +21,7 @@ from toftools.bench.suite import Source, Suite, expand, points, spec_of
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture, write_capture
 from toftools.io.open import open_capture
-from toftools.registry import SIMULATORS, parameters_of, parse_name
+from toftools.registry import SIMULATORS, parameters_of, parse_entry
 from toftools.sensors import sensor
 from toftools.types import Capture, Scene, Shot
 
@@ -232,7 +232,7 @@ def _same(capture: Capture) -> Capture:
 
 
 def _shot(source: Source) -> Capture:
-    scene, params = parse_name(source.text)
+    scene, params = parse_entry(source.text)
     run = SIMULATORS["analytic"].build(Scene(scene, params))
     capture: Capture = run(Shot(sensor(str(source.sensor)), seed=0))
     return capture

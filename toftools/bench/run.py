@@ -217,14 +217,11 @@ def _work(point: Point, out: Path, settings: Settings, target: Path) -> tuple[st
         "answer": str(target.with_suffix(".npz")),
         "result": str(target),
         "parent": os.getpid(),
+        "folder": str(Path.cwd()),
     }
     environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, str(settings.threads))}
     # Threads that spin while they wait make every figure depend on what else the machine does.
     environment.setdefault("OMP_WAIT_POLICY", "passive")
-    # A user's own method is importable from where the command was typed.
-    environment["PYTHONPATH"] = os.pathsep.join(
-        filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH", "")])
-    )
     with tempfile.TemporaryDirectory() as folder:
         job_file = Path(folder) / "job.json"
         job_file.write_text(json.dumps(job), encoding="utf-8")
@@ -233,7 +230,8 @@ def _work(point: Point, out: Path, settings: Settings, target: Path) -> tuple[st
 
 def _spawn(job_file: Path, environment: dict[str, str], timeout_s: float) -> tuple[str, str]:
     """Run one process; what to say of it if it left no result."""
-    command = [sys.executable, "-m", "toftools.bench.worker", str(job_file)]
+    # -P: the current folder comes last, so that a stray h5py.py in it replaces nothing.
+    command = [sys.executable, "-P", "-m", "toftools.bench.worker", str(job_file)]
     try:
         done = subprocess.run(
             command, env=environment, timeout=timeout_s, capture_output=True, check=False

@@ -164,6 +164,7 @@ def main(job_file: str) -> None:
     """
     job = json.loads(Path(job_file).read_text(encoding="utf-8"))
     die_with_parent(int(job["parent"]))
+    sys.path.append(job["folder"])  # a user's own method lies where the command was typed
     capture = read_capture(job["capture"])
     try:
         result = measure(capture, job["method"], job["params"], int(job["repeats"]))
