@@ -12,7 +12,7 @@ from toftools.bench.references import REFERENCES
 from toftools.registry import CORRECTIONS, Spec, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
-_KEYS = ("name", "captures", "scenes", "sensor", "methods", "grid", "repeats", "mask", "title")
+_KEYS = ("name", "captures", "scenes", "sensor", "methods", "grid", "repeats", "mask")
 
 
 @dataclass(frozen=True)
