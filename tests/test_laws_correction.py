@@ -239,9 +239,8 @@ def test_without_multipath_no_worse_than_the_best_frequency(name, text):
 
 @pytest.mark.parametrize("name", NEEDS_SEVERAL)
 def test_one_frequency_is_refused_in_one_sentence(name):
-    with pytest.raises(ValueError, match=r"frequenc") as caught:
+    with pytest.raises(ValueError, match=r"frequenc.*got (1;|\[20000000\.0\] Hz)") as caught:
         CORRECTIONS[name].build(preset(ONE))
-    assert "1" in str(caught.value) or "20000000" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
