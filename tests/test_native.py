@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from toftools.camera import pinhole
 from toftools.io.native import is_capture, read_capture, write_capture
+from toftools.sensors import sensor
 from toftools.types import (
     Camera,
     Capture,
@@ -404,3 +405,42 @@ def test_amplitude_only_depth_survives(tmp_path):
     again = read_capture(tmp_path / "c.h5")
     assert np.isnan(again.depth.range_m).all()
     assert (again.depth.amplitude == 1).all()
+
+
+def test_emitters_and_every_part_of_the_truth_come_back(tmp_path):
+    from dataclasses import replace
+
+    from toftools.types import Emitter, Truth
+
+    made = sensor("opt8241:width=4,height=3")
+    beam = np.array([[0.0, 1.0], [30.0, 0.5]])
+    made = replace(
+        made,
+        emitters=(
+            Emitter((0.02, 0, 0), beam, delay_s=1e-10),
+            Emitter(modulated=False, strength=2.0),
+        ),
+    )
+    rng = np.random.default_rng(0)
+    parts = {
+        name: (rng.normal(size=(2, 3, 4)) + 1j).astype(np.complex64)
+        for name in ("direct", "one_bounce", "rest")
+    }
+    truth = Truth(
+        np.full((3, 4), 2.0, np.float32),
+        **parts,
+        normals=rng.normal(size=(3, 4, 3)),
+        albedo=np.full((3, 4), 0.5),
+    )
+    capture = Capture(made, phasors=Phasors(parts["direct"]), truth=truth)
+    write_capture(tmp_path / "c.h5", capture)
+    back = read_capture(tmp_path / "c.h5")
+    assert len(back.sensor.emitters) == 2
+    assert np.array_equal(back.sensor.emitters[0].beam, beam)
+    assert back.sensor.emitter_offset_m == (0.02, 0, 0)
+    for old, new in zip(made.emitters, back.sensor.emitters, strict=True):
+        assert (old.offset_m, old.strength, old.modulated, old.delay_s) == (
+            new.offset_m, new.strength, new.modulated, new.delay_s
+        )  # fmt: skip
+    for name in (*parts, "normals", "albedo"):
+        assert np.array_equal(getattr(truth, name), getattr(back.truth, name))

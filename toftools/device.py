@@ -138,6 +138,57 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
+class Emitter:
+    """Small light source that travels with the camera.
+
+    Parameters
+    ----------
+    offset_m : tuple of 3 floats
+        Position in the camera frame (x right, y down, z forward), m.
+    beam : ndarray, (N, 2), or None
+        Angle from the optical axis, degrees, rising from 0, against intensity relative to the
+        axis; linear in between, dark beyond the last angle. None is isotropic.
+    strength : float
+        Intensity on the axis relative to what `Noise.signal_e` describes.
+    modulated : bool
+        False for a lamp that adds offset and shot noise only.
+    delay_s : float
+        Time by which its modulation lags behind the reference, s.
+    """
+
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    beam: F64 | None = None
+    strength: float = 1.0
+    modulated: bool = True
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        set_fields(self, offset_m=_metres(self.offset_m, "offset_m"))
+        if not (np.isfinite(self.strength) and self.strength > 0 and np.isfinite(self.delay_s)):
+            msg = (
+                "an emitter needs positive strength and a finite delay_s, "
+                f"got {self.strength} and {self.delay_s} s"
+            )
+            raise ValueError(msg)
+        if self.beam is not None:
+            beam = frozen(self.beam, np.float64, "beam", 2)
+            expect_shape("beam", beam, (beam.shape[0], 2))
+            rising = beam[0, 0] == 0 and (np.diff(beam[:, 0]) > 0).all() and beam[-1, 0] <= 180
+            if not (rising and np.isfinite(beam).all() and (beam[:, 1] >= 0).all()):
+                msg = "beam must hold angles rising from 0 to at most 180 degrees and intensities"
+                raise ValueError(f"{msg} of 0 or more, got {beam.tolist()}")
+            set_fields(self, beam=beam)
+
+
+def _metres(value: tuple[float, float, float], name: str) -> tuple[float, float, float]:
+    offset = tuple(float(x) for x in value)
+    if len(offset) != 3 or not np.isfinite(offset).all():
+        msg = f"{name} must be three finite metres, got {value}"
+        raise ValueError(msg)
+    return offset
+
+
+@dataclass(frozen=True, eq=False)
 class Sensor:
     """A ToF camera: optics, modulation, electronics and where its light sits.
 
@@ -153,6 +204,9 @@ class Sensor:
         Emitter position in the camera frame (x right, y down, z forward), m.
     name : str
         Label used in files and reports.
+    emitters : tuple of Emitter
+        All light sources; empty for one isotropic source at `emitter_offset_m`. Where given,
+        `emitter_offset_m` becomes the place of the first modulated one.
     """
 
     camera: Camera
@@ -160,10 +214,16 @@ class Sensor:
     noise: Noise = field(default_factory=Noise)
     emitter_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = "custom"
+    emitters: tuple[Emitter, ...] = ()
 
     def __post_init__(self) -> None:
-        offset = tuple(float(x) for x in self.emitter_offset_m)
-        if len(offset) != 3 or not np.isfinite(offset).all():
-            msg = f"emitter_offset_m must be three finite metres, got {self.emitter_offset_m}"
+        first = next((e.offset_m for e in self.emitters if e.modulated), self.emitter_offset_m)
+        if self.emitters and not any(e.modulated for e in self.emitters):
+            msg = f"got {len(self.emitters)} emitters, none modulated; a ToF camera needs one"
             raise ValueError(msg)
-        set_fields(self, emitter_offset_m=offset)
+        set_fields(self, emitter_offset_m=_metres(first, "emitter_offset_m"))
+
+    @property
+    def sources(self) -> tuple[Emitter, ...]:
+        """Every light source, the implied one included."""
+        return self.emitters or (Emitter(self.emitter_offset_m),)

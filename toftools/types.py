@@ -18,6 +18,7 @@ from toftools._arrays import F64 as F64
 from toftools._arrays import Bool as Bool
 from toftools._arrays import expect_shape, frozen, frozen_mapping, set_fields, valid_mask
 from toftools.device import Camera as Camera
+from toftools.device import Emitter as Emitter
 from toftools.device import Modulation as Modulation
 from toftools.device import Noise as Noise
 from toftools.device import Sensor as Sensor
@@ -127,28 +128,45 @@ class DepthMap:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Ground truth of a capture.
+    """Ground truth of a capture; the phasors are those of the taps without noise and defects.
 
     Parameters
     ----------
     range_m : ndarray, (H, W)
         Radial range without multipath, float32, m; NaN where unknown.
-    direct : ndarray, (F, H, W), or None
-        Phasors of the direct light alone, complex64.
+    direct, one_bounce, rest : ndarray, (F, H, W), or None
+        Phasors of the direct light alone, of light with one indirect bounce, and of all other
+        light, complex64; they sum to what the camera sees.
+    normals : ndarray, (H, W, 3), or None
+        Surface normals in the camera frame, towards the camera, float32.
+    albedo : ndarray, (H, W), or None
+        Diffuse albedo at the modulated wavelength, float32.
     """
 
     range_m: F32
     direct: C64 | None = None
+    one_bounce: C64 | None = None
+    rest: C64 | None = None
+    normals: F32 | None = None
+    albedo: F32 | None = None
 
     def __post_init__(self) -> None:
         range_m = frozen(self.range_m, np.float32, "truth range_m", 2)
         if np.isinf(range_m).any():
             range_m = frozen(np.where(np.isinf(range_m), np.nan, range_m), np.float32, "truth", 2)
-        direct = self.direct
-        if direct is not None:
-            direct = frozen(direct, np.complex64, "truth direct", 3)
-            expect_shape("truth direct", direct, (direct.shape[0], *range_m.shape))
-        set_fields(self, range_m=range_m, direct=direct)
+        set_fields(self, range_m=range_m)
+        for name in ("direct", "one_bounce", "rest"):
+            part = getattr(self, name)
+            if part is not None:
+                part = frozen(part, np.complex64, f"truth {name}", 3)
+                expect_shape(f"truth {name}", part, (part.shape[0], *range_m.shape))
+                set_fields(self, **{name: part})
+        for name, shape in (("normals", (*range_m.shape, 3)), ("albedo", range_m.shape)):
+            extra = getattr(self, name)
+            if extra is not None:
+                extra = frozen(extra, np.float32, f"truth {name}", len(shape))
+                expect_shape(f"truth {name}", extra, shape)
+                set_fields(self, **{name: extra})
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +208,9 @@ class Capture:
             expect_shape("depth range_m", self.depth.range_m, shape)
         if self.truth is not None:
             expect_shape("truth range_m", self.truth.range_m, shape)
-            if self.truth.direct is not None:
-                expect_shape("truth direct", self.truth.direct, (mod.n_freqs, *shape))
+            for part in (self.truth.direct, self.truth.one_bounce, self.truth.rest):
+                if part is not None:
+                    expect_shape("truth phasors", part, (mod.n_freqs, *shape))
         reported = {
             name: frozen(value, np.float32, name, 2) for name, value in self.reported.items()
         }
@@ -236,13 +255,29 @@ class Shot:
     noisy : bool
         False gives the expectation of the taps.
     max_bounces : int or None
-        Indirect bounces to keep: 0 is direct light only; None keeps all the engine can do.
+        Indirect bounces to keep: 0 is direct light only; None keeps all that matter.
+    samples : int or None
+        Paths per pixel of a sampling engine; None takes as many as `tol_m` needs.
+    tol_m : float
+        Standard error of range that a sampling engine may leave, m.
     """
 
     sensor: Sensor
     seed: int = 0
     noisy: bool = True
     max_bounces: int | None = None
+    samples: int | None = None
+    tol_m: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for name, least in (("max_bounces", 0), ("samples", 1)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                msg = f"{name} must be {least} or more, got {value}"
+                raise ValueError(msg)
+        if not (np.isfinite(self.tol_m) and self.tol_m > 0):
+            msg = f"tol_m must be a positive number of metres, got {self.tol_m}"
+            raise ValueError(msg)
 
 
 class Factory(Protocol[Context, Input, Output]):

@@ -12,7 +12,7 @@ import numpy as np
 
 from toftools._params import checked_params
 from toftools.sensors import NOISE_KEYS
-from toftools.types import F64, Camera, Modulation, Noise, Sensor
+from toftools.types import F64, Camera, Emitter, Modulation, Noise, Sensor
 
 MAX_ELEMENTS = 1 << 29  # of all datasets: more is a hostile header, not a frame
 MAX_RATIO = 1032
@@ -57,6 +57,24 @@ def _finite(value: Any, what: str) -> F64:  # noqa: ANN401 - out of JSON
     return numbers
 
 
+MAX_EMITTERS = 64
+PHASOR_TRUTHS = ("truth/direct", "truth/one_bounce", "truth/rest")
+
+
+def _read_emitter(item: Any) -> Emitter:  # noqa: ANN401
+    if not isinstance(item, dict):
+        msg = f"emitters must be JSON objects, got {type(item).__name__}"
+        raise ValueError(msg)
+    known = {"strength": 1.0, "modulated": True, "delay_s": 0.0}
+    offset = _finite(item.get("offset_m", (0.0, 0.0, 0.0)), "offset_m")
+    beam = item.get("beam")
+    return Emitter(
+        offset_m=tuple(offset.ravel().tolist()),  # type: ignore[arg-type]  # it checks for three
+        beam=None if beam is None else _finite(beam, "beam"),
+        **checked_params("emitter", known, {key: item[key] for key in known if key in item}),
+    )
+
+
 def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     """The sensor of a capture file.
 
@@ -89,6 +107,10 @@ def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     if offset.shape != (3,):
         msg = f"emitter_offset_m must be three metres, got shape {offset.shape}"
         raise ValueError(msg)
+    emitters = extra.get("emitters", [])
+    if not isinstance(emitters, list) or len(emitters) > MAX_EMITTERS:
+        msg = f"emitters must be a list of at most {MAX_EMITTERS}, got {type(emitters).__name__}"
+        raise ValueError(msg)
     missing = {"K", "freqs_hz", "steps_rad"} - set(attrs)
     if missing:
         msg = f"/sensor lacks the attribute {min(missing)}"
@@ -99,6 +121,7 @@ def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
         modulation=Modulation(attrs["freqs_hz"], attrs["steps_rad"], harmonics),
         noise=Noise(**checked_params("noise", NOISE_KEYS, known)),
         emitter_offset_m=(offset[0], offset[1], offset[2]),
+        emitters=tuple(_read_emitter(item) for item in emitters),
         name=str(extra.get("name", "custom")),
     )
 
@@ -122,7 +145,8 @@ def check_datasets(file: Any, sensor: Sensor) -> None:  # noqa: ANN401
     layers = (mod.n_freqs, *shape)
     expected = {
         "taps": (mod.n_freqs, mod.n_taps, *shape),
-        **dict.fromkeys(("phasors", "sigma", "truth/direct"), layers),
+        **dict.fromkeys(("phasors", "sigma", *PHASOR_TRUTHS), layers),
+        **{"truth/normals": (*shape, 3), "truth/albedo": shape},
         **dict.fromkeys(("valid", "truth/range_m", "depth/range_m", "depth/sigma_m"), shape),
         **dict.fromkeys(("depth/confidence", "depth/amplitude"), shape),
     }
@@ -159,7 +183,7 @@ def _check_dataset(dataset: Any, name: str, wanted: tuple[int, ...], filename: s
     if found != wanted:
         msg = f"/{name} must have shape {wanted} after /sensor, got {found}"
         raise ValueError(msg)
-    real = name not in ("phasors", "truth/direct")
+    real = name not in ("phasors", *PHASOR_TRUTHS)
     if dataset.dtype.kind not in ("buif" if real else "buifc"):
         kind = "real numbers" if real else "numbers"
         msg = f"/{name} must hold {kind}, got {dataset.dtype}"

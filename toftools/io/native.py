@@ -16,6 +16,7 @@ from toftools.io._hdf5 import opened
 from toftools.io._untrusted import check_datasets, json_object, read_sensor, text, whole
 from toftools.io.atomic import atomic_path
 from toftools.types import (
+    F32,
     Capture,
     DepthMap,
     Noise,
@@ -26,6 +27,10 @@ from toftools.types import (
 )
 
 FORMAT, VERSION = "toftools-capture", 1
+TRUTH_PARTS = {
+    **dict.fromkeys(("direct", "one_bounce", "rest"), np.complex64),
+    **dict.fromkeys(("normals", "albedo"), np.float32),
+}
 MESSAGE_LENGTH = 400  # an attribute may be as long as the file
 _COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
@@ -86,7 +91,7 @@ def _arrays(capture: Capture) -> list[tuple[str, np.ndarray[Any, Any], dict[str,
     if truth is not None:
         found += [
             ("truth/range_m", truth.range_m, {"unit": "m"}),
-            ("truth/direct", truth.direct, {}),
+            *((f"truth/{name}", getattr(truth, name), {}) for name in TRUTH_PARTS),
         ]
     found += [
         (f"reported/{name}", array, {"unit": "m"}) for name, array in capture.reported.items()
@@ -111,6 +116,10 @@ def _write_sensor(group: Any, sensor: Sensor) -> None:  # noqa: ANN401 - h5py ha
     extra = {
         "name": sensor.name,
         "emitter_offset_m": list(sensor.emitter_offset_m),
+        "emitters": [
+            {**vars(item), "beam": None if item.beam is None else item.beam.tolist()}
+            for item in sensor.emitters
+        ],
         # JSON has no infinity: a full well without limit is left out.
         "noise": {
             key: value
@@ -209,13 +218,18 @@ def _read(file: Any) -> Capture:  # noqa: ANN401 - h5py has no types
         if phasors is None
         else Phasors(phasors, _dataset(file, "sigma", np.float32), valid),
         depth=_read_depth(file),
-        truth=None if truth is None else Truth(truth, _dataset(file, "truth/direct", np.complex64)),
+        truth=None if truth is None else _read_truth(file, truth),
         reported={
             name: _dataset(file, f"reported/{name}", np.float32)
             for name in file.get("reported", ())
         },
         provenance=provenance,
     )
+
+
+def _read_truth(file: Any, range_m: F32) -> Truth:  # noqa: ANN401
+    parts = {name: _dataset(file, f"truth/{name}", kind) for name, kind in TRUTH_PARTS.items()}
+    return Truth(range_m, **parts)
 
 
 def _read_depth(file: Any) -> DepthMap | None:  # noqa: ANN401

@@ -72,11 +72,11 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
 
     def run(shot: Shot) -> Capture:
         sensor = shot.sensor
-        if any(sensor.emitter_offset_m):
-            msg = f"closed forms need the emitter at the camera, got {sensor.emitter_offset_m} m"
-            raise ValueError(msg)
-        if shot.max_bounces is not None and shot.max_bounces < 0:
-            msg = f"max_bounces must be 0 or more, got {shot.max_bounces}"
+        if any(sensor.emitter_offset_m) or sensor.emitters:
+            msg = (
+                "closed forms need one isotropic emitter at the camera, got "
+                f"{len(sensor.sources)} from {sensor.emitter_offset_m} m; use the engine path"
+            )
             raise ValueError(msg)
         transport = build(sensor.camera, **params)
         return _capture(transport, ambient_e, shot, {"scene": scene.name, **scene.params})
