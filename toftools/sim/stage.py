@@ -1,0 +1,178 @@
+"""A `World` loaded into Mitsuba: the scene, the pose, and what every lamp does.
+
+Built on Mitsuba 3 (W. Jakob et al., mitsuba-renderer.org). A Mitsuba camera looks along z with x to
+the left and y up; ours has x to the right and y down, so a pose of a file turns by half a turn
+about z. Whatever Mitsuba says in many lines about a broken scene comes out as one sentence.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools._arrays import F64, Bool
+from toftools._native import import_mitsuba
+from toftools.sim.world import World
+
+TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Our camera frame in Mitsuba's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A scene that an engine can trace.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        Geometry, materials and lamps; sensors and integrator of the description do not count.
+    to_world : ndarray, (4, 4)
+        Camera frame (x right, y down, z forward) to scene, both in scene units.
+    unit_m : float
+        Length of one scene unit, m.
+    lamp_modulated : ndarray, (L,), bool
+        Whether each lamp carries the modulation, in the order of ``scene.emitters()``.
+    lamp_delay_s : ndarray, (L,)
+        Delay of each lamp's modulation, s.
+    lamp_gain : float
+        Radiance 1 of a lamp counts as ``lamp_gain * Noise.signal_e`` electrons per tap.
+    ambient_e : float
+        Unmodulated charge per tap on every pixel, electrons.
+    """
+
+    scene: Any
+    to_world: F64
+    unit_m: float
+    lamp_modulated: Bool
+    lamp_delay_s: F64
+    lamp_gain: float
+    ambient_e: float
+
+
+def load(world: World, *, variant: str = "llvm_ad_mono") -> Stage:
+    """Load a world into Mitsuba.
+
+    Parameters
+    ----------
+    world : World
+        Scene as plain data.
+    variant : str
+        Mitsuba variant; a ``mono`` one, in which colours become their luminance.
+
+    Returns
+    -------
+    Stage
+        The loaded scene.
+
+    Raises
+    ------
+    ValueError
+        If the description is broken, names what does not exist, or cannot be seen from its camera.
+    """
+    mi = import_mitsuba(variant)
+    with _one_sentence(mi):
+        if isinstance(world.description, str):
+            scene = mi.load_string(world.description)
+        else:
+            scene = mi.load_dict(_ready(mi, {"type": "scene", **world.description}))
+    modulated, delay_s = _lamps(scene, world.modulated_s)
+    return Stage(
+        scene=scene,
+        to_world=_pose(scene) if world.to_world is None else world.to_world,
+        unit_m=world.unit_m,
+        lamp_modulated=modulated,
+        lamp_delay_s=delay_s,
+        lamp_gain=world.lamp_gain,
+        ambient_e=world.ambient_e,
+    )
+
+
+@contextmanager
+def _one_sentence(mi: Any) -> Iterator[None]:  # noqa: ANN401 - a module
+    """Quiet Mitsuba, whose errors become one sentence."""
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
+    except (RuntimeError, TypeError, AttributeError) as error:
+        text = re.sub(r"\[[^\]]*\.(cpp|h):\d+\]|\[[A-Za-z0-9]+\]", "", str(error))
+        msg = f"Mitsuba cannot load the scene: {' '.join(text.split())}"
+        raise ValueError(msg) from error
+    finally:
+        mi.set_log_level(level)
+
+
+def _ready(mi: Any, entry: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
+    """A plain description with its poses and meshes as Mitsuba objects."""
+    done: dict[str, Any] = {}
+    for key, value in entry.items():
+        if isinstance(value, Mapping):
+            is_mesh = value.get("type") == "arrays"
+            done[key] = _mesh(mi, key, value) if is_mesh else _ready(mi, value)
+        elif isinstance(value, np.ndarray) and value.shape == (4, 4):
+            done[key] = mi.ScalarTransform4f(np.asarray(value, dtype=np.float64))
+        else:
+            done[key] = value
+    return done
+
+
+def _mesh(mi: Any, name: str, entry: Mapping[str, Any]) -> Any:  # noqa: ANN401
+    """A Mitsuba mesh out of an ``arrays`` entry; without normals its faces stay flat."""
+    arrays = {
+        "vertex_positions": np.asarray(entry["vertices"], np.float32),
+        "faces": np.asarray(entry["faces"], np.uint32),
+    }
+    for ours, theirs in (("normals", "vertex_normals"), ("uv", "vertex_texcoords")):
+        if entry.get(ours) is not None:
+            arrays[theirs] = np.asarray(entry[ours], np.float32)
+    props = mi.Properties()
+    props["face_normals"] = "vertex_normals" not in arrays
+    props["mesh_bsdf"] = mi.load_dict(_ready(mi, entry["bsdf"]))
+    mesh = mi.Mesh(
+        name,
+        len(arrays["vertex_positions"]),
+        len(arrays["faces"]),
+        has_vertex_normals="vertex_normals" in arrays,
+        has_vertex_texcoords="vertex_texcoords" in arrays,
+        props=props,
+    )
+    params = mi.traverse(mesh)
+    for key, values in arrays.items():
+        params[key] = values.ravel()
+    params.update()
+    return mesh
+
+
+def _pose(scene: Any) -> F64:  # noqa: ANN401
+    """Pose of the description's first sensor, in our frame."""
+    if not scene.sensors():
+        msg = "the scene has no sensor to take the pose from; give camera=x+y+z and target=x+y+z"
+        raise ValueError(msg)
+    pose = np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)
+    if not np.isfinite(pose).all():
+        msg = "the pose of the scene's sensor is not finite; give camera=x+y+z and target=x+y+z"
+        raise ValueError(msg)
+    left, _, right = np.linalg.svd(pose[:3, :3])  # a scaled camera sees the same as a plain one
+    pose[:3, :3] = left @ right
+    return np.asarray(pose @ TURN)
+
+
+def _lamps(scene: Any, modulated_s: Mapping[str, float]) -> tuple[Bool, F64]:  # noqa: ANN401
+    """Which lamps are modulated, and the delay of each; a lamp goes by its shape's id as well."""
+    names = [{lamp.id()} | _shape_id(lamp) for lamp in scene.emitters()]
+    unknown = set(modulated_s) - set().union(*names)
+    if unknown:
+        known = ", ".join(sorted(set().union(*names))) or "none"
+        msg = f"got modulated={min(unknown)}, which is no lamp of the scene; its lamps: {known}"
+        raise ValueError(msg)
+    delays = [[modulated_s[n] for n in sorted(own) if n in modulated_s] for own in names]
+    modulated = np.array([bool(d) for d in delays], dtype=bool)
+    return modulated, np.array([d[0] if d else 0.0 for d in delays], dtype=np.float64)
+
+
+def _shape_id(lamp: Any) -> set[str]:  # noqa: ANN401
+    shape = lamp.get_shape()
+    return {shape.id()} if shape is not None else set()
