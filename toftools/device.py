@@ -1,4 +1,4 @@
-"""The camera side of the types: optics, modulation, electronics; no computation.
+"""The camera side of the types: optics, modulation, light sources; no computation.
 
 Import these names from `toftools.types`, which holds all types together.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toftools._arrays import F64, expect_shape, frozen, set_fields
+from toftools.electronics import Defects, Noise, PixelMaps, Timing
 from toftools.units import check_freqs
 
 
@@ -103,41 +104,6 @@ class Modulation:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
-    """Pixel electronics, per tap and exposure.
-
-    Parameters
-    ----------
-    read_e : float
-        Read noise, standard deviation, electrons.
-    full_well_e : float
-        Charge at which a tap saturates, electrons.
-    dn_per_e : float or None
-        Conversion gain, digital numbers per electron; None keeps taps in electrons. Needed to
-        predict the shot noise of taps given in DN.
-    contrast : float
-        Demodulation contrast A / B of a lone direct return, 0..1.
-    signal_e : float
-        Mean charge B per tap from a white, fronto-parallel surface at 1 m, electrons.
-    """
-
-    read_e: float = 0.0
-    full_well_e: float = float("inf")
-    dn_per_e: float | None = None
-    contrast: float = 0.8
-    signal_e: float = 20_000.0
-
-    def __post_init__(self) -> None:
-        gain = 1.0 if self.dn_per_e is None else self.dn_per_e
-        if not (self.read_e >= 0 and self.full_well_e > 0 and gain > 0 and self.signal_e > 0):
-            msg = f"noise terms must be positive (read_e may be zero), got {self}"
-            raise ValueError(msg)
-        if not 0 < self.contrast <= 1:
-            msg = f"contrast must be in (0, 1], got {self.contrast}"
-            raise ValueError(msg)
-
-
-@dataclass(frozen=True, eq=False)
 class Emitter:
     """Small light source that travels with the camera.
 
@@ -207,6 +173,12 @@ class Sensor:
     emitters : tuple of Emitter
         All light sources; empty for one isotropic source at `emitter_offset_m`. Where given,
         `emitter_offset_m` becomes the place of the first modulated one.
+    defects : Defects
+        What makes this unit differ from its data sheet.
+    timing : Timing
+        When the taps are taken.
+    maps : PixelMaps or None
+        Measured pixel patterns; None draws them from `defects`.
     """
 
     camera: Camera
@@ -215,6 +187,9 @@ class Sensor:
     emitter_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = "custom"
     emitters: tuple[Emitter, ...] = ()
+    defects: Defects = field(default_factory=Defects)
+    timing: Timing = field(default_factory=Timing)
+    maps: PixelMaps | None = None
 
     def __post_init__(self) -> None:
         first = next((e.offset_m for e in self.emitters if e.modulated), self.emitter_offset_m)
@@ -222,8 +197,51 @@ class Sensor:
             msg = f"got {len(self.emitters)} emitters, none modulated; a ToF camera needs one"
             raise ValueError(msg)
         set_fields(self, emitter_offset_m=_metres(first, "emitter_offset_m"))
+        _check_per_freq(self)
+        _check_steps(self.modulation, self.timing)
+        if self.maps is not None:
+            nodes = (self.timing.taps_per_exposure, *self.camera.shape)
+            expect_shape("gain map", self.maps.gain, nodes)
+            expect_shape("dark map", self.maps.dark_e, nodes)
+            layers = (self.modulation.n_freqs, *self.camera.shape)
+            expect_shape("phase map", self.maps.phase_rad, layers)
 
     @property
     def sources(self) -> tuple[Emitter, ...]:
         """Every light source, the implied one included."""
         return self.emitters or (Emitter(self.emitter_offset_m),)
+
+
+def _check_per_freq(sensor: Sensor) -> None:
+    """Values per frequency are as many as the frequencies."""
+    wanted = sensor.modulation.n_freqs
+    for name, owner in (
+        ("contrast", sensor.noise),
+        ("fppn_rad", sensor.defects),
+        ("drift_rad_per_k", sensor.defects),
+    ):
+        value = getattr(owner, name)
+        if isinstance(value, tuple) and len(value) != wanted:
+            msg = f"{name} must be one number or one per frequency ({wanted}), got {len(value)}"
+            raise ValueError(msg)
+
+
+def _check_steps(modulation: Modulation, timing: Timing) -> None:
+    """Nodes A and B are half a turn apart; heterodyne steps follow from the times."""
+    nodes, steps = timing.taps_per_exposure, modulation.steps_rad
+    if nodes == 1 and not timing.beat_hz:
+        return
+    if modulation.n_taps % nodes:
+        msg = f"a two-tap pixel needs an even number of taps, got {modulation.n_taps}"
+        raise ValueError(msg)
+    base = steps[:, ::nodes]
+    if timing.beat_hz:
+        times_s = timing.tap_interval_s * np.arange(base.shape[1])
+        base = np.broadcast_to(2 * np.pi * timing.beat_hz * times_s, base.shape)
+    wanted = base[:, :, None] + np.pi * np.arange(nodes)
+    if np.abs(np.exp(1j * (wanted.reshape(steps.shape) - steps)) - 1).max() > 1e-6:
+        msg = (
+            f"taps of this timing step by {np.round(wanted[0].ravel(), 4).tolist()} rad, "
+            f"got {np.round(steps[0], 4).tolist()}"
+        )
+        raise ValueError(msg)

@@ -1,4 +1,4 @@
-"""Taps to phasors and back, and noise propagation.
+"""Taps to phasors and back.
 
 A tap is ``I_k = B + A cos(phi - step_k)``; demodulation is the least-squares fit of
 ``(B, A cos phi, A sin phi)`` to the taps, which for equispaced steps is the discrete Fourier
@@ -12,7 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from toftools.types import C64, F32, F64, Capture, DepthMap, Noise, Phasors, Sensor, Taps
+from toftools.tap_noise import phasor_sigma
+from toftools.types import F32, F64, Capture, DepthMap, Phasors, Sensor, Taps
 from toftools.units import ambiguity_m, phase_to_range, range_to_phase, wrap_phase
 
 SCHEMES: Mapping[str, F64] = MappingProxyType(
@@ -74,8 +75,8 @@ def demodulate(taps: Taps, sensor: Sensor) -> Phasors:
     Returns
     -------
     Phasors
-        (F, H, W); `sigma` follows from shot and read noise and is None for taps in DN without
-        a conversion gain.
+        (F, H, W); `sigma` follows from the noise of the taps (`tap_noise.phasor_sigma`) and is
+        None for taps in DN without a conversion gain.
 
     Raises
     ------
@@ -93,63 +94,6 @@ def demodulate(taps: Taps, sensor: Sensor) -> Phasors:
         sigma=phasor_sigma(taps, values, weights, sensor.noise),
         valid=taps.valid & np.isfinite(taps.values).all(axis=(0, 1)),
     )
-
-
-def phasor_sigma(
-    taps: Taps, values: C64, weights: NDArray[np.complex128], noise: Noise
-) -> F32 | None:
-    """Standard deviation of each phasor across its direction, from the tap noise model.
-
-    The variance of tap k is ``v_k = I_k + read_e^2`` electrons squared (shot and read noise);
-    across a phasor of phase phi that makes ``sum_k Im(w_k exp(-j phi))^2 v_k``, which is what moves
-    the phase, and thereby the range. For four or more equispaced taps and a sine it is the same in
-    every direction, ``2 (B + read_e^2) / K``, and so the standard deviation of the real and of the
-    imaginary part; of three it is ``2 (B - A / 2 cos 3 phi + read_e^2) / 3``.
-
-    Parameters
-    ----------
-    taps : Taps
-        Samples.
-    values : ndarray, (F, H, W)
-        Their phasors.
-    weights : ndarray, (F, K)
-        Demodulation weights.
-    noise : Noise
-        Electronics.
-
-    Returns
-    -------
-    ndarray, (F, H, W), float32, or None
-        Standard deviation in the unit of the taps; None if the unit is DN and the conversion
-        gain is unknown.
-    """
-    if taps.unit == "DN" and noise.dn_per_e is None:
-        return None
-    gain = 1.0 if taps.unit == "e-" else float(noise.dn_per_e or 1.0)  # unit per electron
-    power = (np.abs(weights) ** 2 / 2).astype(np.float32)  # (F, K)
-    signal_e = np.maximum(taps.values, 0) * np.float32(1 / gain)
-    read_e2 = np.float32(noise.read_e**2)
-    variance_e = np.einsum("fk,fkhw->fhw", power, signal_e)
-    variance_e += (power.sum(axis=1) * read_e2)[:, None, None]
-    if not _same_in_every_direction(weights):
-        # Im(w u)^2 = (|w|^2 - Re(w^2 u^2)) / 2, with u = exp(-j phi)
-        square = (weights**2 / 2).astype(np.complex64)
-        tilt = np.einsum("fk,fkhw->fhw", square, signal_e + read_e2)
-        length2 = np.maximum(np.abs(values) ** 2, np.finfo(np.float32).tiny)
-        with np.errstate(invalid="ignore"):  # infinite taps: the pixel is invalid anyway
-            variance_e -= (tilt * np.conj(values) ** 2).real / length2
-        variance_e = np.maximum(variance_e, 0)  # rounding
-    return np.asarray(gain * np.sqrt(variance_e), dtype=np.float32)
-
-
-def _same_in_every_direction(weights: NDArray[np.complex128]) -> bool:
-    """Whether taps of any ``B + A cos(phi - step)`` scatter their phasor alike in all directions.
-
-    They do if ``sum_k w_k^2 I_k = 0`` for constant, cosine and sine, which span the same as a
-    constant and both parts of the weights.
-    """
-    basis = np.stack([np.ones_like(weights), weights.real, weights.imag])  # (3, F, K)
-    return bool(np.abs(np.einsum("fk,nfk->nf", weights**2, basis)).max() < 1e-9)
 
 
 def phasors_of_depth(depth: DepthMap, freq_hz: float) -> Phasors:

@@ -153,14 +153,23 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     return Camera(width, height, K, camera.dist)
 
 
-NOISE_KEYS: Mapping[str, float] = MappingProxyType(
-    {"read_e": 20.0, "full_well_e": float("inf"), "dn_per_e": 1.0, "contrast": 0.8,
-     "signal_e": 20_000.0}
+NOISE_KEYS: Mapping[str, Any] = MappingProxyType(
+    {"read_e": 20.0, "full_well_e": float("inf"), "dn_per_e": 1.0, "contrast": (0.8,),
+     "signal_e": 20_000.0, "dark_e": 50.0, "adc_bits": 12}
 )  # fmt: skip
+DEFECT_KEYS: Mapping[str, Any] = MappingProxyType(
+    {"prnu": 0.01, "dsnu_e": 5.0, "fppn_rad": (0.05,), "ab_gain": 0.01, "temperature_c": 25.0,
+     "reference_c": 25.0, "drift_rad_per_k": (1e-3,), "drift_gain_per_k": -3e-3, "scatter": 0.02,
+     "scatter_px": 30.0, "unit": 0}
+)  # fmt: skip
+TIMING_KEYS: Mapping[str, Any] = MappingProxyType(
+    {"tap_interval_s": 1e-3, "exposure_s": 1e-3, "beat_hz": 30.0, "taps_per_exposure": 1}
+)
 CAMERA_KEYS: Mapping[str, float] = MappingProxyType({"width": 256, "height": 256, "hfov_deg": 70.0})
 KEYS: Mapping[str, Any] = MappingProxyType(
-    {"freqs": (20e6,), "steps": None, "waveform": "sine", **CAMERA_KEYS, **NOISE_KEYS}
-)
+    {"freqs": (20e6,), "steps": None, "waveform": "sine", **CAMERA_KEYS, **NOISE_KEYS,
+     **DEFECT_KEYS, **TIMING_KEYS}
+)  # fmt: skip
 """Every key of a sensor with a typical value, whose type says what is wanted."""
 
 
@@ -172,7 +181,7 @@ def sensor(text: str) -> Sensor:
     text : str
         Preset name and overrides: ``freqs`` (Hz, joined by +), ``steps`` (scheme name or rad),
         ``waveform`` (``sine`` or ``square``), ``width``, ``height``, ``hfov_deg``, and the
-        fields of `Noise`.
+        fields of `Noise`, `Defects` and `Timing`.
 
     Returns
     -------
@@ -208,8 +217,10 @@ def sensor(text: str) -> Sensor:
 
         made = with_waveform(made, params["waveform"])
     made = _sized(made, {key: params[key] for key in CAMERA_KEYS if key in params})
-    noise = {key: params[key] for key in NOISE_KEYS if key in params}
-    return replace(made, noise=replace(made.noise, **noise)) if noise else made
+    for field, keys in (("noise", NOISE_KEYS), ("defects", DEFECT_KEYS), ("timing", TIMING_KEYS)):
+        given = {key: params[key] for key in keys if key in params}
+        made = replace(made, **{field: replace(getattr(made, field), **given)})
+    return made
 
 
 def _sized(sensor: Sensor, size: Mapping[str, Any]) -> Sensor:

@@ -20,8 +20,11 @@ from toftools._arrays import expect_shape, frozen, frozen_mapping, set_fields, v
 from toftools.device import Camera as Camera
 from toftools.device import Emitter as Emitter
 from toftools.device import Modulation as Modulation
-from toftools.device import Noise as Noise
 from toftools.device import Sensor as Sensor
+from toftools.electronics import Defects as Defects
+from toftools.electronics import Noise as Noise
+from toftools.electronics import PixelMaps as PixelMaps
+from toftools.electronics import Timing as Timing
 
 Context = TypeVar("Context", contravariant=True)
 Input = TypeVar("Input", contravariant=True)

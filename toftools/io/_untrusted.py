@@ -6,13 +6,23 @@ to 1: J. Gailly and M. Adler, zlib technical details).
 """
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from toftools._params import checked_params
-from toftools.sensors import NOISE_KEYS
-from toftools.types import F64, Camera, Emitter, Modulation, Noise, Sensor
+from toftools.sensors import DEFECT_KEYS, NOISE_KEYS, TIMING_KEYS
+from toftools.types import (
+    F64,
+    Camera,
+    Defects,
+    Emitter,
+    Modulation,
+    Noise,
+    Sensor,
+    Timing,
+)
 
 MAX_ELEMENTS = 1 << 29  # of all datasets: more is a hostile header, not a frame
 MAX_RATIO = 1032
@@ -75,6 +85,15 @@ def _read_emitter(item: Any) -> Emitter:  # noqa: ANN401
     )
 
 
+def _known(extra: dict[str, Any], name: str, keys: Mapping[str, Any]) -> dict[str, Any]:
+    """The known keys of a JSON object within `extra`, of the kind of their typical values."""
+    found = extra.get(name, {})
+    if not isinstance(found, dict):
+        msg = f"{name} must be a JSON object, got {type(found).__name__}"
+        raise ValueError(msg)
+    return checked_params(name, keys, {k: found[k] for k in keys if found.get(k) is not None})
+
+
 def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     """The sensor of a capture file.
 
@@ -98,11 +117,6 @@ def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     if "harmonics_re" in extra:
         parts = [_finite(extra.get(name), name) for name in ("harmonics_re", "harmonics_im")]
         harmonics = parts[0] + 1j * parts[1]
-    noise = extra.get("noise", {})
-    if not isinstance(noise, dict):
-        msg = f"noise must be a JSON object, got {type(noise).__name__}"
-        raise ValueError(msg)
-    known = {key: noise[key] for key in NOISE_KEYS if noise.get(key) is not None}
     offset = _finite(extra.get("emitter_offset_m", (0.0, 0.0, 0.0)), "emitter_offset_m")
     if offset.shape != (3,):
         msg = f"emitter_offset_m must be three metres, got shape {offset.shape}"
@@ -119,7 +133,9 @@ def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     return Sensor(
         camera=Camera(whole(attrs, "width"), whole(attrs, "height"), attrs["K"], dist),
         modulation=Modulation(attrs["freqs_hz"], attrs["steps_rad"], harmonics),
-        noise=Noise(**checked_params("noise", NOISE_KEYS, known)),
+        noise=Noise(**_known(extra, "noise", {**NOISE_KEYS, "codes_dn": (0.0,)})),
+        defects=Defects(**_known(extra, "defects", DEFECT_KEYS)),
+        timing=Timing(**_known(extra, "timing", TIMING_KEYS)),
         emitter_offset_m=(offset[0], offset[1], offset[2]),
         emitters=tuple(_read_emitter(item) for item in emitters),
         name=str(extra.get("name", "custom")),
@@ -143,7 +159,9 @@ def check_datasets(file: Any, sensor: Sensor) -> None:  # noqa: ANN401
     """
     shape, mod = sensor.camera.shape, sensor.modulation
     layers = (mod.n_freqs, *shape)
+    nodes = (sensor.timing.taps_per_exposure, *shape)
     expected = {
+        **{"sensor/gain": nodes, "sensor/dark_e": nodes, "sensor/phase_rad": layers},
         "taps": (mod.n_freqs, mod.n_taps, *shape),
         **dict.fromkeys(("phasors", "sigma", *PHASOR_TRUTHS), layers),
         **{"truth/normals": (*shape, 3), "truth/albedo": shape},

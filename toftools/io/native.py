@@ -7,6 +7,7 @@ Layout (docs/conventions.md): attributes format, version, provenance; /sensor; a
 import io
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,15 @@ from toftools.types import (
     F32,
     Capture,
     DepthMap,
-    Noise,
     Phasors,
+    PixelMaps,
     Sensor,
     Taps,
     Truth,
 )
 
 FORMAT, VERSION = "toftools-capture", 1
+MAPS = ("gain", "dark_e", "phase_rad")
 TRUTH_PARTS = {
     **dict.fromkeys(("direct", "one_bounce", "rest"), np.complex64),
     **dict.fromkeys(("normals", "albedo"), np.float32),
@@ -93,6 +95,8 @@ def _arrays(capture: Capture) -> list[tuple[str, np.ndarray[Any, Any], dict[str,
             ("truth/range_m", truth.range_m, {"unit": "m"}),
             *((f"truth/{name}", getattr(truth, name), {}) for name in TRUTH_PARTS),
         ]
+    maps = capture.sensor.maps
+    found += [(f"sensor/{name}", getattr(maps, name), {}) for name in MAPS if maps is not None]
     found += [
         (f"reported/{name}", array, {"unit": "m"}) for name, array in capture.reported.items()
     ]
@@ -121,11 +125,9 @@ def _write_sensor(group: Any, sensor: Sensor) -> None:  # noqa: ANN401 - h5py ha
             for item in sensor.emitters
         ],
         # JSON has no infinity: a full well without limit is left out.
-        "noise": {
-            key: value
-            for key in Noise.__dataclass_fields__
-            if (value := getattr(noise, key)) != float("inf")
-        },
+        "noise": {key: value for key, value in vars(noise).items() if value != float("inf")},
+        "defects": dict(vars(sensor.defects)),
+        "timing": dict(vars(sensor.timing)),
         "harmonics_re": harmonics.real.tolist(),
         "harmonics_im": harmonics.imag.tolist(),
     }
@@ -207,6 +209,9 @@ def _read(file: Any) -> Capture:  # noqa: ANN401 - h5py has no types
     provenance = json_object(file.attrs, "provenance")
     sensor = read_sensor(file["sensor"].attrs)
     check_datasets(file, sensor)
+    if "gain" in file["sensor"]:
+        maps = {name: _dataset(file, f"sensor/{name}", np.float64) for name in MAPS}
+        sensor = replace(sensor, maps=PixelMaps(**maps))
     valid = _dataset(file, "valid", np.bool_)
     taps, phasors = _dataset(file, "taps", np.float32), _dataset(file, "phasors", np.complex64)
     unit = text(file["taps"].attrs.get("unit", "DN")) if taps is not None else "DN"

@@ -14,13 +14,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toftools.phasor import demodulate
 from toftools.registry import checked_params, parameters_of
-from toftools.sim.noise import clean_taps, expose
+from toftools.sim.noise import Frame, capture_moving, capture_taps, true_phasors
 from toftools.sim.shapes import Transport, cavity, corner, tilted, two_returns, wall
-from toftools.types import Capture, Scene, Sensor, Shot, Truth
+from toftools.types import Capture, Scene, Shot, Truth
 
 SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(
     {
@@ -34,6 +33,10 @@ SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(
 """Scene name to its closed form."""
 
 
+MOVABLE = ("wall", "tilted")
+"""Scenes whose only length is their range, so that a camera moving along its axis is trivial."""
+
+
 def analytic(scene: Scene) -> Callable[[Shot], Capture]:
     """Simulator for the closed-form scenes.
 
@@ -41,12 +44,14 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
     ----------
     scene : Scene
         Name out of `SCENES` and its parameters (SI units, angles in degrees), plus
-        ``ambient_e``, unmodulated electrons per tap.
+        ``ambient_e``, unmodulated electrons per tap, and ``velocity_mps``, the speed of the camera
+        along its axis towards the scene, m/s.
 
     Returns
     -------
     callable
-        ``run(shot) -> Capture`` with taps, phasors and truth.
+        ``run(shot) -> Capture`` with taps, phasors and truth, the latter at the time of the first
+        tap.
 
     Raises
     ------
@@ -63,11 +68,15 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
         msg = f"no closed form for scene {scene.name!r}; known: {', '.join(SCENES)}"
         raise ValueError(msg)
     build = SCENES[scene.name]
-    defaults = {**parameters_of(build), "ambient_e": 0.0}
+    defaults = {**parameters_of(build), "ambient_e": 0.0, "velocity_mps": 0.0}
     params = checked_params(f"scene {scene.name}", defaults, scene.params)
     ambient_e = float(params.pop("ambient_e", 0.0))
     if ambient_e < 0:
         msg = f"ambient_e must be non-negative electrons, got {ambient_e}"
+        raise ValueError(msg)
+    velocity_mps = float(params.pop("velocity_mps", 0.0))
+    if velocity_mps and scene.name not in MOVABLE:
+        msg = f"no closed form for a camera moving in {scene.name}; it may in {', '.join(MOVABLE)}"
         raise ValueError(msg)
 
     def run(shot: Shot) -> Capture:
@@ -78,23 +87,39 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
                 f"{len(sensor.sources)} from {sensor.emitter_offset_m} m; use the engine path"
             )
             raise ValueError(msg)
-        transport = build(sensor.camera, **params)
-        return _capture(transport, ambient_e, shot, {"scene": scene.name, **scene.params})
+
+        def transport_at(time_s: float) -> Transport:
+            if not velocity_mps:
+                return build(sensor.camera, **params)
+            start = params.get("range", parameters_of(build)["range"])
+            return build(sensor.camera, **{**params, "range": start - velocity_mps * time_s})
+
+        what = {"scene": scene.name, **scene.params, "ambient_e": ambient_e}
+        return _capture(transport_at, ambient_e, shot, what, moves=velocity_mps != 0)
 
     return run
 
 
 def _capture(
-    transport: Transport, ambient_e: float, shot: Shot, what: Mapping[str, Any]
+    transport_at: Callable[[float], Transport],
+    ambient_e: float,
+    shot: Shot,
+    what: Mapping[str, Any],
+    *,
+    moves: bool,
 ) -> Capture:
-    sensor, signal = shot.sensor, shot.sensor.noise.signal_e
+    sensor, seed = shot.sensor, shot.seed if shot.noisy else None
+    signal = sensor.noise.signal_e
+    transport = transport_at(0.0)
 
-    def light(freq_hz: float) -> NDArray[np.complex128]:
-        return signal * transport.phasor(freq_hz, shot.max_bounces)
+    def frame(transport: Transport) -> Frame:
+        return lambda freq_hz: signal * transport.phasor(freq_hz, shot.max_bounces), ambient_e
 
-    rng = np.random.default_rng(shot.seed) if shot.noisy else None
-    taps = expose(clean_taps(light, ambient_e, sensor), sensor, rng)
-    direct = _direct(transport, sensor)
+    if moves:
+        taps = capture_moving(lambda time_s: frame(transport_at(time_s)), sensor, seed=seed)
+    else:
+        taps = capture_taps(*frame(transport), sensor, seed=seed)
+    direct = true_phasors(lambda freq_hz: signal * transport.phasor(freq_hz, 0), sensor)
     return Capture(
         sensor=sensor,
         taps=taps,
@@ -103,16 +128,7 @@ def _capture(
         provenance={
             "engine": "analytic",
             **{key: value for key, value in what.items() if key != "engine"},
-            "ambient_e": ambient_e,
-            "seed": shot.seed if shot.noisy else None,
+            "seed": seed,
             "max_bounces": shot.max_bounces,
         },
     )
-
-
-def _direct(transport: Transport, sensor: Sensor) -> NDArray[np.complex64]:
-    """Phasors of the direct light in the unit of the taps."""
-    unit = sensor.noise.dn_per_e or 1.0
-    scale = unit * sensor.noise.signal_e * sensor.noise.contrast
-    layers = [scale * transport.phasor(float(f), 0) for f in sensor.modulation.freqs_hz]
-    return np.asarray(layers, dtype=np.complex64)
