@@ -5,12 +5,24 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from toftools.registry import checked_params, parameters_of
-from toftools.sim.boxes import cavity, cornell, corner, tilted, wall
+from toftools.sim.boxes import cornell, prism, vshape
+from toftools.sim.planes import cavity, corner, disc, plates, slab, tilted, wall
 from toftools.sim.world import World
 from toftools.types import Scene
 
 WORLDS: Mapping[str, Callable[..., World]] = MappingProxyType(
-    {"wall": wall, "tilted": tilted, "cavity": cavity, "corner": corner, "cornell": cornell}
+    {
+        "wall": wall,
+        "tilted": tilted,
+        "plates": plates,
+        "disc": disc,
+        "corner": corner,
+        "cavity": cavity,
+        "slab": slab,
+        "cornell": cornell,
+        "vshape": vshape,
+        "prism": prism,
+    }
 )
 """Scene name to its builder."""
 

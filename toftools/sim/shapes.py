@@ -34,14 +34,16 @@ class Transport:
     phasor: Callable[[float, int | None], C128]
 
 
-def _check(**positive: float) -> None:
+def check_positive(**positive: float) -> None:
+    """Refuse what is not a positive number, by its name."""
     for name, value in positive.items():
         if not (np.isfinite(value) and value > 0):
             msg = f"{name} must be a positive number, got {value}"
             raise ValueError(msg)
 
 
-def _check_albedo(albedo: float) -> None:
+def check_albedo(albedo: float) -> None:
+    """Refuse an albedo that no surface has."""
     if not 0 < albedo <= 1:
         msg = f"albedo must be in (0, 1], got {albedo}"
         raise ValueError(msg)
@@ -97,8 +99,8 @@ def tilted(
     Transport
         Direct light only; rays that miss the plane see nothing.
     """
-    _check(range=range)
-    _check_albedo(albedo)
+    check_positive(range=range)
+    check_albedo(albedo)
     if not -89 <= tilt <= 89:
         msg = f"tilt must lie within +-89 degrees, got {tilt}"
         raise ValueError(msg)
@@ -138,7 +140,7 @@ def two_returns(
     Transport
         The second return counts as one indirect bounce.
     """
-    _check(extra=extra)
+    check_positive(extra=extra)
     if not ratio >= 0:
         msg = f"ratio must be 0 or more, got {ratio}"
         raise ValueError(msg)
@@ -178,8 +180,8 @@ def cavity(camera: Camera, *, radius: float = 2.0, albedo: float = 0.8) -> Trans
     Derived in research of this project; the chord density is that of E. S. Fry et al.,
     "Integrating cavities: temporal response", Applied Optics 45 (2006) 9053.
     """
-    _check(radius=radius)
-    _check_albedo(albedo)
+    check_positive(radius=radius)
+    check_albedo(albedo)
     if albedo >= 1:
         msg = f"a closed cavity needs albedo below 1, got {albedo}"
         raise ValueError(msg)
@@ -252,8 +254,8 @@ def corner(
     Transport
         Direct light plus at most one bounce.
     """
-    _check(range=range, size=size, height=height)
-    _check_albedo(albedo)
+    check_positive(range=range, size=size, height=height)
+    check_albedo(albedo)
     if not 10 <= angle < 180:
         msg = f"angle must lie in 10..180 degrees, got {angle}"
         raise ValueError(msg)
