@@ -7,6 +7,7 @@ from types import MappingProxyType
 from toftools.registry import checked_params, parameters_of
 from toftools.sim.boxes import cornell, prism, vshape
 from toftools.sim.planes import cavity, corner, disc, plates, slab, tilted, wall
+from toftools.sim.rooms import room
 from toftools.sim.world import World
 from toftools.types import Scene
 
@@ -22,6 +23,7 @@ WORLDS: Mapping[str, Callable[..., World]] = MappingProxyType(
         "cornell": cornell,
         "vshape": vshape,
         "prism": prism,
+        "room": room,
     }
 )
 """Scene name to its builder."""
