@@ -16,11 +16,11 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the bottom of the house to the top; a file imports only what stands before it.
 LAYERS = [
     "units", "_arrays", "electronics", "device", "types", "tap_noise", "phasor", "crlb", "camera",
-    "_params", "registry", "sensors", "_native", "io", "sim", "correct", "metrics", "viz", "bench",
-    "cli", "__main__",
+    "transient", "_params", "registry", "_overrides", "sensors", "_native", "io", "sim", "correct",
+    "metrics", "viz", "bench", "cli", "__main__",
 ]  # fmt: skip
-# sensors reads waveforms by name and sits below sim for that one function-level import.
-UPWARD = {("sensors", "sim"): "a sensor's waveform is defined with the simulator's waveforms"}
+# _overrides reads waveforms by name and sits below sim for that one function-level import.
+UPWARD = {("_overrides", "sim"): "waveforms, beams and codes by name are the simulator's"}
 HEAVY = ("mitsuba", "drjit", "open3d", "cv2", "onnxruntime", "matplotlib", "numba", "scipy", "h5py")
 
 

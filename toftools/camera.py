@@ -36,6 +36,30 @@ def pinhole(width: int, height: int, *, hfov_deg: float) -> Camera:
     return Camera(width, height, K)
 
 
+def resized(camera: Camera, width: int, height: int) -> Camera:
+    """The same field of view on another pixel grid.
+
+    Parameters
+    ----------
+    camera : Camera
+        Original camera.
+    width, height : int
+        New image size, px.
+
+    Returns
+    -------
+    Camera
+        Intrinsics scaled about the outer image corner (pixel centres at integers).
+    """
+    sx, sy = width / camera.width, height / camera.height
+    K = np.array(camera.K)
+    K[0, :2] *= sx
+    K[1, :2] *= sy
+    K[0, 2] = (camera.K[0, 2] + 0.5) * sx - 0.5
+    K[1, 2] = (camera.K[1, 2] + 0.5) * sy - 0.5
+    return Camera(width, height, K, camera.dist)
+
+
 def rays(camera: Camera) -> F64:
     """Unit viewing direction of every pixel.
 

@@ -8,13 +8,15 @@ all presets, and marked so in `SOURCES`. Override anything: ``deeptof:freqs=20e6
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
+from toftools._overrides import KEYS as KEYS
+from toftools._overrides import overridden
 from toftools.camera import pinhole
+from toftools.camera import resized as resized
 from toftools.phasor import SCHEMES
-from toftools.registry import checked_params, parse_entry
+from toftools.registry import parse_entry
 from toftools.types import Camera, Modulation, Noise, Sensor
 
 ASSUMED_NOISE = Noise(read_e=20.0, full_well_e=150_000.0, contrast=0.8, signal_e=20_000.0)
@@ -108,71 +110,6 @@ SOURCES: Mapping[str, str] = MappingProxyType(
 """Where the figures of each preset come from."""
 
 
-def _freqs(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from text
-    old = sensor.modulation
-    freqs = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    same = freqs.size == old.n_freqs
-    steps = old.steps_rad if same else old.steps_rad[0] - old.steps_rad[0, 0]
-    return replace(sensor, modulation=Modulation(freqs, steps))
-
-
-def _steps(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from text
-    if isinstance(value, str):
-        if value not in SCHEMES:
-            msg = f"unknown tap scheme {value!r}; known: {', '.join(SCHEMES)}"
-            raise ValueError(msg)
-        steps = SCHEMES[value]
-    else:
-        checked_params("sensor", {"steps": (0.0,)}, {"steps": value})
-        steps = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    old = sensor.modulation
-    return replace(sensor, modulation=Modulation(old.freqs_hz, steps, old.harmonics))
-
-
-def resized(camera: Camera, width: int, height: int) -> Camera:
-    """The same field of view on another pixel grid.
-
-    Parameters
-    ----------
-    camera : Camera
-        Original camera.
-    width, height : int
-        New image size, px.
-
-    Returns
-    -------
-    Camera
-        Intrinsics scaled about the outer image corner (pixel centres at integers).
-    """
-    sx, sy = width / camera.width, height / camera.height
-    K = np.array(camera.K)
-    K[0, :2] *= sx
-    K[1, :2] *= sy
-    K[0, 2] = (camera.K[0, 2] + 0.5) * sx - 0.5
-    K[1, 2] = (camera.K[1, 2] + 0.5) * sy - 0.5
-    return Camera(width, height, K, camera.dist)
-
-
-NOISE_KEYS: Mapping[str, Any] = MappingProxyType(
-    {"read_e": 20.0, "full_well_e": float("inf"), "dn_per_e": 1.0, "contrast": (0.8,),
-     "signal_e": 20_000.0, "dark_e": 50.0, "adc_bits": 12}
-)  # fmt: skip
-DEFECT_KEYS: Mapping[str, Any] = MappingProxyType(
-    {"prnu": 0.01, "dsnu_e": 5.0, "fppn_rad": (0.05,), "ab_gain": 0.01, "temperature_c": 25.0,
-     "reference_c": 25.0, "drift_rad_per_k": (1e-3,), "drift_gain_per_k": -3e-3, "scatter": 0.02,
-     "scatter_px": 30.0, "unit": 0}
-)  # fmt: skip
-TIMING_KEYS: Mapping[str, Any] = MappingProxyType(
-    {"tap_interval_s": 1e-3, "exposure_s": 1e-3, "beat_hz": 30.0, "taps_per_exposure": 1}
-)
-CAMERA_KEYS: Mapping[str, float] = MappingProxyType({"width": 256, "height": 256, "hfov_deg": 70.0})
-KEYS: Mapping[str, Any] = MappingProxyType(
-    {"freqs": (20e6,), "steps": None, "waveform": "sine", **CAMERA_KEYS, **NOISE_KEYS,
-     **DEFECT_KEYS, **TIMING_KEYS}
-)  # fmt: skip
-"""Every key of a sensor with a typical value, whose type says what is wanted."""
-
-
 def sensor(text: str) -> Sensor:
     """Sensor from ``name:key=val,...``.
 
@@ -180,8 +117,10 @@ def sensor(text: str) -> Sensor:
     ----------
     text : str
         Preset name and overrides: ``freqs`` (Hz, joined by +), ``steps`` (scheme name or rad),
-        ``waveform`` (``sine`` or ``square``), ``width``, ``height``, ``hfov_deg``, and the
-        fields of `Noise`, `Defects` and `Timing`.
+        ``waveform`` (``sine``, ``square``, ``trapezoid`` or the file of a measured correlation)
+        with ``duty`` and ``rise``, ``width``, ``height``, ``hfov_deg``, ``emitter`` (metres,
+        joined by +), ``beam_deg`` or ``beam`` (file of a measured profile), ``companding``
+        (``kinect2`` or a table), and the fields of `Noise`, `Defects` and `Timing`.
 
     Returns
     -------
@@ -191,7 +130,7 @@ def sensor(text: str) -> Sensor:
     Raises
     ------
     ValueError
-        If the preset or a key is unknown.
+        If the preset or a key is unknown, or a value is not what it should be.
 
     Examples
     --------
@@ -202,32 +141,4 @@ def sensor(text: str) -> Sensor:
     if name not in PRESETS:
         msg = f"unknown sensor {name!r}; known: {', '.join(PRESETS)}"
         raise ValueError(msg)
-    unknown = [key for key in params if key not in KEYS]
-    if unknown:
-        msg = f"unknown sensor key {unknown[0]!r}; known: {', '.join(KEYS)}"
-        raise ValueError(msg)
-    params = checked_params(f"sensor {name}", KEYS, params)
-    made = replace(PRESETS[name](), name=name)
-    if "freqs" in params:
-        made = _freqs(made, params["freqs"])
-    if "steps" in params:
-        made = _steps(made, params["steps"])
-    if "waveform" in params:
-        from toftools.sim.waveform import with_waveform
-
-        made = with_waveform(made, params["waveform"])
-    made = _sized(made, {key: params[key] for key in CAMERA_KEYS if key in params})
-    for field, keys in (("noise", NOISE_KEYS), ("defects", DEFECT_KEYS), ("timing", TIMING_KEYS)):
-        given = {key: params[key] for key in keys if key in params}
-        made = replace(made, **{field: replace(getattr(made, field), **given)})
-    return made
-
-
-def _sized(sensor: Sensor, size: Mapping[str, Any]) -> Sensor:
-    camera = sensor.camera
-    width, height = size.get("width", camera.width), size.get("height", camera.height)
-    if "hfov_deg" in size:
-        return replace(sensor, camera=pinhole(width, height, hfov_deg=float(size["hfov_deg"])))
-    if (width, height) == (camera.width, camera.height):
-        return sensor
-    return replace(sensor, camera=resized(camera, width, height))
+    return overridden(replace(PRESETS[name](), name=name), params)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from toftools._overrides import DEFECT_KEYS, NOISE_KEYS, TIMING_KEYS
 from toftools._params import checked_params
-from toftools.sensors import DEFECT_KEYS, NOISE_KEYS, TIMING_KEYS
 from toftools.types import (
     F64,
     Camera,

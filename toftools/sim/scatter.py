@@ -4,8 +4,7 @@ The kernel is ``(1 - s) delta + s G`` with G a Gaussian of standard deviation `s
 at the image borders: light that would leave the image stands for what comes in from outside, and no
 energy is lost. It acts on complex light and on its mean alike, so that a bright near object drags
 the phase of dark pixels around it towards its own. Real lenses have longer tails than one Gaussian;
-sums of several fit better (J. Mure-Dubois and H. Huegli 2007, ICVS), and an engine may call
-`scattered` several times.
+sums of several fit better (J. Mure-Dubois and H. Huegli, ICVS 2007; recalled).
 """
 
 import numpy as np
