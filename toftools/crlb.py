@@ -8,6 +8,7 @@ The sparse methods give no sigma; `crlb_returns_m` says how well two returns can
 import numpy as np
 from numpy.typing import ArrayLike
 
+from toftools.phasor import demodulation_weights
 from toftools.types import F64
 from toftools.units import phase_to_range, range_to_phase
 
@@ -83,6 +84,102 @@ def fisher_phase_exact(amplitude_e: ArrayLike, offset_e: ArrayLike, *, n_taps: i
     offset = np.asarray(offset_e, dtype=np.float64)
     contrast = np.asarray(amplitude_e, dtype=np.float64) / offset
     return np.asarray(n_taps * offset * (1 - np.sqrt(1 - contrast**2)))
+
+
+def crlb_taps_range_m(
+    freq_hz: ArrayLike,
+    amplitude_e: float,
+    offset_e: float,
+    phase_rad: ArrayLike,
+    steps_rad: ArrayLike,
+    *,
+    read_e: float = 0.0,
+) -> F64:
+    """Cramer-Rao bound of the range from taps of any steps, offset and amplitude unknown.
+
+    Each tap carries information ``1 / (I_k + read_e^2)`` about its mean (exact for shot noise
+    alone); the bound is that of the phase in the inverse of the 3 x 3 information about
+    ``(B, A cos phi, A sin phi)``.
+
+    Parameters
+    ----------
+    freq_hz : array_like
+        Modulation frequency, Hz.
+    amplitude_e, offset_e : float
+        A and B of each tap, electrons, A < B.
+    phase_rad : array_like, (...)
+        Phase of the return, rad.
+    steps_rad : array_like, (K,)
+        Tap steps, rad.
+    read_e : float
+        Read noise, electrons.
+
+    Returns
+    -------
+    ndarray, (...)
+        Standard deviation of the range, m.
+
+    Examples
+    --------
+    Three taps determine three unknowns, so that least squares reaches the bound.
+
+    >>> steps = np.arange(3) * 2 * np.pi / 3
+    >>> bound = crlb_taps_range_m(60e6, 1600, 2000, np.pi / 6, steps)  # cos 3 phi = 0
+    >>> bool(np.isclose(bound, crlb_range_m(60e6, 1600, 2000, n_taps=3)))
+    True
+    """
+    angle = np.asarray(phase_rad, dtype=np.float64)
+    steps = np.asarray(steps_rad, dtype=np.float64)
+    basis = np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)])  # (3, K)
+    taps = offset_e + amplitude_e * np.cos(angle[..., None] - steps)
+    information = np.einsum("ak,bk,...k->...ab", basis, basis, 1 / (taps + read_e**2))
+    across = np.stack([np.zeros_like(angle), -np.sin(angle), np.cos(angle)], axis=-1)
+    variance = np.einsum("...a,...ab,...b->...", across, np.linalg.inv(information), across)
+    return phase_to_range(np.sqrt(variance) / amplitude_e, freq_hz)
+
+
+def demodulation_efficiency(
+    amplitude_e: float,
+    offset_e: float,
+    phase_rad: ArrayLike,
+    steps_rad: ArrayLike,
+    *,
+    read_e: float = 0.0,
+) -> F64:
+    """Efficiency of least-squares demodulation: variance at the bound over its own variance.
+
+    Least squares weighs all taps alike, although weak ones have less shot noise. By shot noise
+    alone, with m = A / B, it reaches 1 for three taps, ``1 - m^2 / 2 sin^2(2 phi)`` for four
+    equispaced ones, and ``(m^2 / 2) / (1 - sqrt(1 - m^2))`` for many.
+
+    Parameters
+    ----------
+    amplitude_e, offset_e, phase_rad, steps_rad, read_e
+        As for `crlb_taps_range_m`.
+
+    Returns
+    -------
+    ndarray, (...)
+        Efficiency, 0..1; the range deviates by the bound over its root.
+
+    References
+    ----------
+    Derived here: for four taps the inverse information is in closed form, and the variance of the
+    phase is ``(B / 2 - A^2 sin^2(2 phi) / (4 B)) / A^2``; for many, see `fisher_phase_exact`.
+
+    Examples
+    --------
+    >>> four = np.arange(4) * np.pi / 2
+    >>> demodulation_efficiency(1600, 2000, [0.0, np.pi / 4], four).round(3).tolist()
+    [1.0, 0.68]
+    """
+    angle = np.asarray(phase_rad, dtype=np.float64)[..., None]
+    steps = np.asarray(steps_rad, dtype=np.float64)
+    variance_e2 = offset_e + amplitude_e * np.cos(angle - steps) + read_e**2  # (..., K)
+    across = (demodulation_weights(steps) * np.exp(-1j * angle)).imag / amplitude_e
+    own = np.sum(across**2 * variance_e2, axis=-1)
+    bound = crlb_taps_range_m(1.0, amplitude_e, offset_e, phase_rad, steps, read_e=read_e)
+    return np.asarray((bound / phase_to_range(1.0, 1.0)) ** 2 / own)
 
 
 def crlb_multi_range_m(freqs_hz: ArrayLike, phasor_snr: ArrayLike) -> F64:

@@ -22,6 +22,9 @@ SCHEMES: Mapping[str, F64] = MappingProxyType(
         "four_step": np.arange(4, dtype=np.float64) * (np.pi / 2),
         "eight_step": np.arange(8, dtype=np.float64) * (np.pi / 4),
         "four_step_0_180_90_270": np.array([0.0, np.pi, np.pi / 2, 3 * np.pi / 2]),
+        # Nodes A and B of a two-tap pixel in turn; over ab_four_step both see every step.
+        "ab_three_step": np.array([0, 3, 2, 5, 4, 1]) * (np.pi / 3),
+        "ab_four_step": np.array([0, 2, 1, 3, 2, 0, 3, 1]) * (np.pi / 2),
     }
 )
 """Tap schemes by name: reference phase of each tap, rad, in the order of the taps."""
