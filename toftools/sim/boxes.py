@@ -8,7 +8,7 @@ import numpy as np
 
 from toftools.sim import solids
 from toftools.sim.shapes import check_positive
-from toftools.sim.solids import Entry, box, plane, quad
+from toftools.sim.solids import Entry, box, quad
 from toftools.sim.world import World
 
 
@@ -27,16 +27,6 @@ def _open_box(
     return {
         name: quad(*side, solids.material("diffuse", albedos[name])) for name, side in sides.items()
     }
-
-
-def _backdrop(z: float, nearer: float, albedo: float) -> dict[str, Entry]:
-    """Endless wall behind a scene that ends at `nearer`, or nothing for z = 0."""
-    if z == 0:
-        return {}
-    if z <= nearer:
-        msg = f"got wall={z}, wanted 0 for none or more than {nearer:.6g} m, where the scene ends"
-        raise ValueError(msg)
-    return {"wall": plane([0, 0, z], [z, 0, 0], [0, -z, 0], solids.material("diffuse", albedo))}
 
 
 def cornell(*, size: float = 2.0, material: str = "diffuse") -> World:
@@ -118,7 +108,7 @@ def vshape(
         )
         raise ValueError(msg)
     paint, edge = solids.material("diffuse", albedo), np.array([0.0, 0.0, range])
-    shapes = _backdrop(wall, range, 0.5)
+    shapes = solids.backdrop(wall, range, 0.5)
     for name, side in (("left", -1), ("right", 1)):
         out = np.array([side * np.sin(half), 0.0, -np.cos(half)]) * size / 2
         shapes[name] = quad(edge + out, -out, [0, side * height / 2, 0], paint)
@@ -161,7 +151,7 @@ def prism(*, range: float = 1.0, albedo: float = 0.85, wall: float = 2.5) -> Wor
     floor = half[1] - 1e-4
     shapes: dict[str, Entry] = {
         **shell,
-        **_backdrop(wall, range + 2 * half[2], 0.5),
+        **solids.backdrop(wall, range + 2 * half[2], 0.5),
         "prism_3": solids.prism([-0.17, floor, range + 0.36], 0.09, 0.22, 3, 20, paint),
         "prism_4": solids.prism([0.02, floor, range + 0.50], 0.08, 0.34, 4, 30, paint),
         "prism_6": solids.prism([0.10, floor, range + 0.22], 0.06, 0.12, 6, 0, paint),

@@ -192,3 +192,13 @@ def prism(
         if 0 < i < sides - 1:
             faces += [[0, i, j], [sides, j + sides, i + sides]]
     return {"type": "arrays", "vertices": vertices, "faces": np.array(faces), "bsdf": bsdf}
+
+
+def backdrop(z: float, nearer: float, albedo: float) -> dict[str, Entry]:
+    """Endless wall behind a scene that ends at `nearer`, or nothing for z = 0."""
+    if z == 0:
+        return {}
+    if z <= nearer:
+        msg = f"got wall={z}, wanted 0 for none or more than {nearer:.6g} m, where the scene ends"
+        raise ValueError(msg)
+    return {"wall": plane([0, 0, z], [z, 0, 0], [0, -z, 0], material("diffuse", albedo))}

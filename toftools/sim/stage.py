@@ -9,12 +9,16 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from toftools._arrays import F64, Bool
+from toftools._arrays import F64, Bool, expect_shape
 from toftools._native import import_mitsuba
+from toftools.sim._stage_checks import check_values, check_view
+from toftools.sim.mesh import read_mesh
+from toftools.sim.scene_xml import with_files
 from toftools.sim.world import World
 
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -74,20 +78,36 @@ def load(world: World, *, variant: str = "llvm_ad_mono") -> Stage:
     """
     mi = import_mitsuba(variant)
     with _one_sentence(mi):
-        if isinstance(world.description, str):
-            scene = mi.load_string(world.description)
-        else:
-            scene = mi.load_dict(_ready(mi, {"type": "scene", **world.description}))
+        scene = _scene(mi, world)
+    check_values(mi, scene)
+    to_world = _pose(scene) if world.to_world is None else world.to_world
+    check_view(mi, scene, to_world, world.unit_m)
     modulated, delay_s = _lamps(scene, world.modulated_s)
     return Stage(
         scene=scene,
-        to_world=_pose(scene) if world.to_world is None else world.to_world,
+        to_world=to_world,
         unit_m=world.unit_m,
         lamp_modulated=modulated,
         lamp_delay_s=delay_s,
         lamp_gain=world.lamp_gain,
         ambient_e=world.ambient_e,
     )
+
+
+def _scene(mi: Any, world: World) -> Any:  # noqa: ANN401 - a module
+    """The Mitsuba scene; `optimize` would merge meshes and lose their ids."""
+    if not isinstance(world.description, str):
+        plain = {"type": "scene", **world.description}
+        return mi.load_dict(_ready(mi, plain, world.folder), optimize=False)
+    text, files = with_files(world.description, world.folder or Path())
+    for file in files:
+        if file.suffix.lower() == ".ply":
+            read_mesh(file)  # Mitsuba trusts the indices of its faces and may crash
+    scene = mi.load_string(text, optimize=False)
+    if not isinstance(scene, mi.Scene):
+        msg = f"the root of the scene file makes a {type(scene).__name__}, wanted a <scene>"
+        raise ValueError(msg)
+    return scene
 
 
 @contextmanager
@@ -105,32 +125,28 @@ def _one_sentence(mi: Any) -> Iterator[None]:  # noqa: ANN401 - a module
         mi.set_log_level(level)
 
 
-def _ready(mi: Any, entry: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
-    """A plain description with its poses and meshes as Mitsuba objects."""
+def _ready(mi: Any, entry: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:  # noqa: ANN401
+    """A plain description with its poses and meshes as Mitsuba objects, its files absolute."""
     done: dict[str, Any] = {}
     for key, value in entry.items():
         if isinstance(value, Mapping):
             is_mesh = value.get("type") == "arrays"
-            done[key] = _mesh(mi, key, value) if is_mesh else _ready(mi, value)
+            done[key] = _mesh(mi, key, value, folder) if is_mesh else _ready(mi, value, folder)
         elif isinstance(value, np.ndarray) and value.shape == (4, 4):
             done[key] = mi.ScalarTransform4f(np.asarray(value, dtype=np.float64))
+        elif key == "filename" and folder is not None:
+            done[key] = str((folder / value).absolute())
         else:
             done[key] = value
     return done
 
 
-def _mesh(mi: Any, name: str, entry: Mapping[str, Any]) -> Any:  # noqa: ANN401
+def _mesh(mi: Any, name: str, entry: Mapping[str, Any], folder: Path | None) -> Any:  # noqa: ANN401
     """A Mitsuba mesh out of an ``arrays`` entry; without normals its faces stay flat."""
-    arrays = {
-        "vertex_positions": np.asarray(entry["vertices"], np.float32),
-        "faces": np.asarray(entry["faces"], np.uint32),
-    }
-    for ours, theirs in (("normals", "vertex_normals"), ("uv", "vertex_texcoords")):
-        if entry.get(ours) is not None:
-            arrays[theirs] = np.asarray(entry[ours], np.float32)
+    arrays = _mesh_arrays(name, entry)
     props = mi.Properties()
     props["face_normals"] = "vertex_normals" not in arrays
-    props["mesh_bsdf"] = mi.load_dict(_ready(mi, entry["bsdf"]))
+    props["mesh_bsdf"] = mi.load_dict(_ready(mi, entry["bsdf"], folder))
     mesh = mi.Mesh(
         name,
         len(arrays["vertex_positions"]),
@@ -144,6 +160,28 @@ def _mesh(mi: Any, name: str, entry: Mapping[str, Any]) -> Any:  # noqa: ANN401
         params[key] = values.ravel()
     params.update()
     return mesh
+
+
+def _mesh_arrays(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays of an ``arrays`` entry under Mitsuba's names, checked."""
+    vertices = np.asarray(entry.get("vertices", ()), np.float32)
+    faces = np.asarray(entry.get("faces", ()))
+    flat = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3
+    if not (flat and len(faces) and faces.min() >= 0 and faces.max() < len(vertices)):
+        msg = (
+            f"the mesh {name!r} has vertices {vertices.shape} and faces {faces.shape}; wanted "
+            "(N, 3) and at least one face of three vertices out of those N"
+        )
+        raise ValueError(msg)
+    if not isinstance(entry.get("bsdf"), Mapping):
+        msg = f"the mesh {name!r} has no material; wanted an entry bsdf"
+        raise ValueError(msg)
+    arrays = {"vertex_positions": vertices, "faces": faces.astype(np.uint32)}
+    for ours, theirs, width in (("normals", "vertex_normals", 3), ("uv", "vertex_texcoords", 2)):
+        if ours in entry:
+            arrays[theirs] = np.asarray(entry[ours], np.float32)
+            expect_shape(f"{ours} of the mesh {name!r}", arrays[theirs], (len(vertices), width))
+    return arrays
 
 
 def _pose(scene: Any) -> F64:  # noqa: ANN401
