@@ -168,6 +168,28 @@ def npz(folder, **arrays):
     return path
 
 
+TRANSIENT_BINS, TRANSIENT_BIN_M = 160, 0.05
+
+
+def transient_bins():
+    """A lone return per pixel and a weak floor that ends well before the axis does."""
+    bins = np.zeros((TRANSIENT_BINS, HEIGHT, WIDTH), np.float32)
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    bins[(2 * RANGE_M / TRANSIENT_BIN_M).astype(int), rows, columns] = AMPLITUDE / 400
+    bins[145:150] += 0.001
+    return bins
+
+
+def transient(folder, *, suffix=".npz"):
+    """A transient file of our own; foreign ones are in test_adapt."""
+    from toftools.io.transients import write_transient
+    from toftools.transient import Transient
+
+    path = Path(folder) / f"transient{suffix}"
+    write_transient(path, Transient(transient_bins(), TRANSIENT_BIN_M))
+    return path
+
+
 MAKERS = {
     "su2018": su2018,
     "melexis_npy": melexis_npy,
@@ -177,6 +199,7 @@ MAKERS = {
     "espros_h5": espros_h5,
     "depth_png": depth_png,
     "npz": npz,
+    "transient": transient,
 }
 FORCED = {"adi_bin": f"adi_bin:width={WIDTH},height={HEIGHT}"}
 """How to force the format where its defaults do not fit the small file."""

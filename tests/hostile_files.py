@@ -178,4 +178,50 @@ def claims_npz_stream(folder):
     return path, "npz"
 
 
+def claims_transient_array(folder):
+    """The number format of the bins says 2^34 of them; the member is short."""
+    path = foreign.transient(folder)
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    whole = members["values.npy"]
+    header = str({"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 128, 128)})
+    members["values.npy"] = whole[:10] + header.ljust(117).encode() + b"\n" + whole[128:]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path, "transient"
+
+
+def claims_transient_h5(folder):
+    import h5py
+
+    path = foreign.transient(folder, suffix=".h5")
+    with h5py.File(path, "r+") as file:
+        del file["values"]
+        file.create_dataset("values", (1 << 12, 1 << 9, 1 << 8), "f4", chunks=(64, 64, 64))
+    return path, "transient"
+
+
+def claims_transient_sparse(folder):
+    """Two entries a billion bins apart."""
+    index = [[0, 0], [0, 1], [0, 1 << 30]]
+    path = foreign.npz(folder, values=[1.0, 1.0], index=index)
+    return path, "transient:axes=sparse,bin_m=1e-3,width=64,height=64"
+
+
+def claims_transient_words(folder):
+    """A description of 200 MB of blanks."""
+    path = foreign.transient(folder)
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            blank = bytes(1 << 20).replace(b"\0", b" ")
+            with archive.open(name, "w") as member:
+                member.write(content)
+                for _ in range(200 if name.endswith(".json") else 0):
+                    member.write(blank)
+    return path, "transient"
+
+
 CLAIMS = [value for name, value in sorted(globals().items()) if name.startswith("claims_")]

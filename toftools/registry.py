@@ -217,5 +217,6 @@ READERS = _table(
     espros_h5=Spec("toftools.io.readers.espros_h5:read"),
     depth_png=Spec("toftools.io.readers.depth_png:read"),
     npz=Spec("toftools.io.readers.npz:read"),
+    transient=Spec("toftools.io.readers.transient:read"),
 )
 """Foreign formats; ``read(path, *, convention...)`` gives a Capture, ``sniff`` recognises one."""

@@ -94,6 +94,27 @@ def path_to_phase(path_m: ArrayLike, freq_hz: ArrayLike) -> NDArray[np.float64]:
     return range_to_phase(np.asarray(path_m) / 2.0, freq_hz)
 
 
+def time_to_path(time_s: ArrayLike) -> NDArray[np.float64]:
+    """Optical path that light covers in a time, ``c time``.
+
+    Parameters
+    ----------
+    time_s : array_like
+        Time of flight from emitter to camera, s.
+
+    Returns
+    -------
+    ndarray
+        Optical path length, m.
+
+    Examples
+    --------
+    >>> round(float(time_to_path(1e-9)), 6)
+    0.299792
+    """
+    return np.asarray(C_M_S * np.asarray(time_s, dtype=np.float64))
+
+
 def ambiguity_m(freq_hz: ArrayLike) -> NDArray[np.float64]:
     """Range at which the phase of one frequency has made a full turn, ``c / (2 f)``.
 
