@@ -70,7 +70,7 @@ def transient_capture(
     share = cut_share(transient)
     if share > cut:
         msg = (
-            f"the axis of the transient leaves out about {100 * share:.2g} % of the light; give "
+            f"the axis of the transient leaves out about {100 * share:.3g} % of the light; give "
             "it more bins, or accept that with cut=1"
         )
         raise ValueError(msg)

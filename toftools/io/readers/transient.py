@@ -135,7 +135,7 @@ def read(
         share = cut_share(transient)
         if share > cut:
             msg = (
-                f"its axis leaves out about {100 * share:.2g} % of the light, which bends the "
+                f"its axis leaves out about {100 * share:.3g} % of the light, which bends the "
                 "phase; give it more bins, or accept that with cut=1"
             )
             raise ValueError(msg)
