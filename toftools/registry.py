@@ -172,6 +172,7 @@ def _statistics(distribution: str) -> dict[str, Spec]:
 
 SIMULATORS = _table(
     analytic=Spec("toftools.sim.analytic:analytic"),
+    path=Spec("toftools.sim.path:path", grid={"antialias": (1, 4)}),
 )
 CALIBRATIONS = _table()
 CORRECTIONS = _table(

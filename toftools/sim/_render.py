@@ -1,0 +1,237 @@
+"""Light of a whole image to a tolerance: passes over the tiles that still need them.
+
+Every tile gets four independent passes a round, from which its standard error follows; tiles above
+the tolerance go into the next round with up to four times the paths.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._phasors import C128, Light, direct_light, indirect_light
+from toftools.sim._stop import range_errors_m
+from toftools.sim._tracer import Task, first_hits
+from toftools.types import F64
+
+log = logging.getLogger(__name__)
+
+TILE = 16
+PASSES = 4
+FIRST_PATHS = 16
+FAINT = 0.01
+"""Pixels this much darker than the median do not count for a tile's error: they tell no range."""
+MAX_LANES = 1 << 20
+"""Lanes of one kernel call: bounds the memory of structures and sums."""
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Light of all pixels, and how well it is known.
+
+    Parameters
+    ----------
+    direct, one_bounce, rest : ndarray, (Q, H, W), complex128
+        Phasors in units of `Noise.signal_e`, by number of indirect bounces.
+    ambient : ndarray, (H, W)
+        Unmodulated radiance in the same unit.
+    samples : ndarray, (H, W)
+        Paths per pixel.
+    error_m : ndarray, (H, W)
+        Standard error of range, pooled over the tile, m; NaN where nothing told.
+    """
+
+    direct: C128
+    one_bounce: C128
+    rest: C128
+    ambient: F64
+    samples: F64
+    error_m: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """What to render.
+
+    Parameters
+    ----------
+    directions : ndarray, (H, W, S, 3)
+        Viewing directions of the S points of every pixel, camera frame.
+    freqs_hz : ndarray, (Q,)
+        All frequencies wanted, Hz.
+    used : ndarray, (F,), int
+        Which of them are modulation frequencies, whose phases give the range.
+    bounces : int
+        Indirect bounces.
+    samples : int or None
+        Paths per pixel; None goes on until `tol_m`.
+    tol_m : float
+        Standard error of range to reach, m.
+    max_samples : int
+        Paths per pixel at which even a noisy tile is left.
+    seed : int
+        Of all sequences.
+    """
+
+    directions: F64
+    freqs_hz: F64
+    used: Any
+    bounces: int
+    samples: int | None
+    tol_m: float
+    max_samples: int
+    seed: int
+
+
+def render(task: Task, order: Order) -> Image:
+    """Direct light exactly and indirect light to a tolerance.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    order : Order
+        What to render.
+
+    Returns
+    -------
+    Image
+        Light per pixel.
+    """
+    height, width, inside, _ = order.directions.shape
+    views = order.directions.reshape(height * width, inside, 3)
+    direct = _each(views, lambda part: direct_light(task, first_hits(task, part), order.freqs_hz))
+    sums = _Sums(len(order.freqs_hz), height * width)
+    if order.bounces > 0 or task.lamps or task.holes:
+        tiles = _tiles(height, width)
+        _rounds(task, order, views, direct.direct, tiles, sums)
+    known = sums.samples > 0
+    shape = (-1, height, width)
+    parts = [(part / np.maximum(sums.samples, 1)).reshape(shape) for part in sums.parts]
+    return Image(
+        direct=direct.direct.reshape(shape) + parts[0],
+        one_bounce=parts[1],
+        rest=parts[2],
+        ambient=(direct.ambient + sums.ambient / np.maximum(sums.samples, 1)).reshape(shape[1:]),
+        samples=sums.samples.reshape(shape[1:]),
+        error_m=np.where(known, sums.error_m, 0.0).reshape(shape[1:]),
+    )
+
+
+class _Sums:
+    """Running sums of all pixels, weighted by numbers of paths."""
+
+    def __init__(self, freqs: int, pixels: int) -> None:
+        self.parts = np.zeros((3, freqs, pixels), np.complex128)
+        self.ambient = np.zeros(pixels)
+        self.samples = np.zeros(pixels)
+        self.scatter = np.zeros(pixels)  # sum of (paths * standard error)^2
+        self.judged = np.zeros(pixels)  # paths whose scatter is in the sum
+        self.error_m = np.full(pixels, np.nan)
+
+
+def _rounds(
+    task: Task,
+    order: Order,
+    views: F64,
+    direct: C128,
+    tiles: Any,  # noqa: ANN401
+    sums: _Sums,
+) -> None:
+    """Add rounds of passes until every tile is good enough, or has had the most paths."""
+    inside = views.shape[1]
+    wanted = PASSES * FIRST_PATHS if order.samples is None else order.samples
+    active, number = np.ones(len(views), bool), 0
+    while active.any():
+        chosen = np.flatnonzero(active)
+        passes = min(PASSES, max(1, wanted // inside))
+        each = max(1, round(wanted / (passes * inside)))  # paths per point of a pixel
+        found = [_pass(task, order, views[chosen], each, number + i) for i in range(passes)]
+        number += passes
+        _add(sums, chosen, found, each * inside)
+        total = direct + sums.parts.sum(axis=0) / np.maximum(sums.samples, 1)
+        _judge(sums, chosen, found, total[order.used], order, tiles)
+        paths = int(sums.samples[chosen].max())
+        _tell(paths, active, sums.error_m[chosen])
+        if order.samples is not None:
+            return
+        active &= ~(sums.error_m <= order.tol_m) & (sums.samples < order.max_samples)
+        wanted = paths  # doubles what there is
+
+
+def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
+    known = error_m[np.isfinite(error_m)]
+    error = f", standard error up to {known.max() * 1e3:.2f} mm" if known.size else ""
+    log.info("%d paths a pixel in %.0f %% of the image%s", paths, 100 * active.mean(), error)
+
+
+def _pass(task: Task, order: Order, views: F64, each: int, number: int) -> Light:
+    """One independent estimate of some pixels."""
+    settings: dict[str, Any] = {
+        "bounces": order.bounces,
+        "samples": each,
+        "seed": order.seed * 0x10001 + number,
+    }
+    return _each(
+        views,
+        lambda part: indirect_light(task, first_hits(task, part), order.freqs_hz, **settings),
+    )
+
+
+def _each(views: F64, light: Callable[[F64], Light]) -> Light:
+    """Light of pixels, a bounded number of lanes at a time, averaged over the points in each."""
+    inside = views.shape[1]
+    step = max(1, MAX_LANES // inside)
+    done = [
+        _stacked(light(views[i : i + step].reshape(-1, 3)), inside)
+        for i in range(0, len(views), step)
+    ]
+    return Light(*(np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)))
+
+
+def _stacked(light: Light, inside: int) -> list[Any]:
+    """The four arrays of a light, averaged over the points inside every pixel."""
+    parts = (light.direct, light.one_bounce, light.rest, light.ambient)
+    return [part.reshape(*part.shape[:-1], -1, inside).mean(axis=-1) for part in parts]
+
+
+def _add(sums: _Sums, chosen: Any, found: list[Light], paths: int) -> None:  # noqa: ANN401
+    for light in found:
+        stacked = np.stack([light.direct, light.one_bounce, light.rest])
+        sums.parts[:, :, chosen] += paths * stacked
+        sums.ambient[chosen] += paths * light.ambient
+        sums.samples[chosen] += paths
+
+
+def _judge(
+    sums: _Sums,
+    chosen: Any,  # noqa: ANN401
+    found: list[Light],
+    total: C128,
+    order: Order,
+    tiles: Any,  # noqa: ANN401
+) -> None:
+    """Standard error of the chosen pixels' range, pooled over their tiles."""
+    if len(found) < 2:
+        return
+    phasors = np.stack([light.total[order.used] for light in found])  # (P, F, M)
+    freqs_hz, seen = order.freqs_hz[order.used], total[:, chosen]
+    errors = range_errors_m(phasors - phasors.mean(axis=0), seen, freqs_hz)
+    variance = (errors**2).sum(axis=0) / (len(found) - 1) / len(found)  # of the round's mean
+    size = np.abs(seen).min(axis=0)
+    lit = size > FAINT * np.median(size[size > 0], keepdims=True) if size.any() else size > 0
+    fresh = sums.samples[chosen] - sums.judged[chosen]
+    sums.judged[chosen] = sums.samples[chosen]
+    sums.scatter[chosen] += fresh**2 * variance
+    error2 = sums.scatter[chosen] / sums.samples[chosen] ** 2
+    count = np.bincount(tiles[chosen], lit, minlength=tiles.max() + 1)
+    pooled = np.bincount(tiles[chosen], error2 * lit, minlength=tiles.max() + 1)
+    sums.error_m[chosen] = np.sqrt(pooled / np.maximum(count, 1))[tiles[chosen]]
+
+
+def _tiles(height: int, width: int) -> Any:  # noqa: ANN401 - ints
+    """Number of the tile of every pixel."""
+    row, column = np.mgrid[0:height, 0:width] // TILE
+    return (row * (-(-width // TILE)) + column).ravel()
