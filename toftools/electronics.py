@@ -150,9 +150,9 @@ class Defects:
         if not (np.isfinite(numbers).all() and min(least) >= 0 and self.ab_gain > -1):
             msg = f"defects must be finite and spreads not negative, got {self}"
             raise ValueError(msg)
-        if not (0 <= self.scatter < 1 and 0.5 <= self.scatter_px <= 1e4):
+        if not (0 <= self.scatter < 1 and 1 <= self.scatter_px <= 1e4):
             msg = (
-                "scatter must lie in 0..1 and scatter_px in 0.5..10000 px, "
+                "scatter must lie in 0..1 and scatter_px in 1..10000 px, "
                 f"got {self.scatter} and {self.scatter_px}"
             )
             raise ValueError(msg)
