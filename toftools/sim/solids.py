@@ -188,9 +188,9 @@ def prism(
     faces = []
     for i in range(sides):
         j = (i + 1) % sides
-        faces += [[i, i + sides, j], [j, i + sides, j + sides]]
+        faces += [[i, j, i + sides], [j, j + sides, i + sides]]
         if 0 < i < sides - 1:
-            faces += [[0, i, j], [sides, j + sides, i + sides]]
+            faces += [[0, j, i], [sides, i + sides, j + sides]]
     return {"type": "arrays", "vertices": vertices, "faces": np.array(faces), "bsdf": bsdf}
 
 
