@@ -14,12 +14,15 @@ from toftools.sensors import sensor
 from toftools.types import (
     Camera,
     Capture,
+    Defects,
     DepthMap,
     Modulation,
     Noise,
     Phasors,
+    PixelMaps,
     Sensor,
     Taps,
+    Timing,
     Truth,
 )
 
@@ -37,6 +40,7 @@ def whole_capture():
         Noise(read_e=12.0, full_well_e=1e5, dn_per_e=0.25, contrast=0.7, signal_e=3e4),
         (0.01, -0.02, 0.003),
         "mine",
+        maps=PixelMaps(np.ones((1, *SHAPE)), np.zeros((1, *SHAPE)), np.zeros((2, *SHAPE))),
     )
     valid = rng.random(SHAPE) > 0.2
     z = rng.normal(size=(2, *SHAPE)) + 1j * rng.normal(size=(2, *SHAPE))
@@ -194,6 +198,20 @@ SPOILED = {
     "harmonics without im": attribute("extra", '{"harmonics_re": [[1], [1]]}'),
     "noise list": attribute("extra", '{"noise": [1]}'),
     "noise nan": attribute("extra", '{"noise": {"signal_e": NaN}}'),
+    "defects list": attribute("extra", '{"defects": [1]}'),
+    "defects of other layers": attribute("extra", '{"defects": {"fppn_rad": [1, 2, 3]}}'),
+    "ragged defects": attribute("extra", '{"defects": {"fppn_rad": [1, [2]]}}'),
+    "endless defects": attribute("extra", '{"defects": {"temperature_c": 1e999}}'),
+    "huge unit": attribute("extra", '{"defects": {"unit": 1%s}}' % ("0" * 400)),
+    "timing text": attribute("extra", '{"timing": {"tap_interval_s": "now"}}'),
+    "two-tap steps": attribute("extra", '{"timing": {"taps_per_exposure": 2}}'),
+    "falling codes": attribute("extra", '{"noise": {"codes_dn": [0, 2, 1]}}'),
+    "one code": attribute("extra", '{"noise": {"codes_dn": 0}}'),
+    "codes and bits": attribute("extra", '{"noise": {"codes_dn": [0, 1], "adc_bits": 8}}'),
+    "gain without phase": without("sensor/phase_rad"),
+    "gain of another shape": instead("sensor/gain", np.ones((2, *SHAPE))),
+    "negative gain": pixel("sensor/gain", -1),
+    "complex dark map": instead("sensor/dark_e", np.ones((1, *SHAPE), complex)),
     "phasors of other layers": instead("phasors", np.ones((3, *SHAPE))),
     "sigma of another shape": instead("sigma", np.ones(SHAPE)),
     "depth of another shape": instead("depth/range_m", np.ones((7, 5))),
@@ -323,7 +341,8 @@ def test_another_file_is_not_read_through_a_capture(tmp_path):
 
 
 KEYS = ["taps", "phasors", "sigma", "valid", "depth/range_m", "depth/sigma_m", "depth/confidence",
-        "depth/amplitude", "truth/range_m", "truth/direct", "reported/other"]  # fmt: skip
+        "depth/amplitude", "truth/range_m", "truth/direct", "reported/other", "sensor/gain",
+        "sensor/dark_e", "sensor/phase_rad"]  # fmt: skip
 DTYPES = ["?", "i1", ">u2", "i8", "f2", ">f4", "f8", "c8", "c16", "S3"]
 NUMBERS = st.one_of(
     st.floats(), st.integers(-(2**63), 2**63 - 1), st.sampled_from([0, 1, 5, 7, -1, 1e300])
@@ -384,8 +403,10 @@ def test_attributes_of_any_kind(base):
 
 def test_extras_of_any_kind(base):
     path, whole = base
-    keys = ["name", "emitter_offset_m", "harmonics_re", "harmonics_im", "noise"]
-    noise = st.dictionaries(st.sampled_from(list(vars(Noise()))), JSON)
+    keys = ["name", "emitter_offset_m", "emitters", "harmonics_re", "harmonics_im", "noise",
+            "defects", "timing"]  # fmt: skip
+    fields = [*vars(Noise()), *vars(Defects()), *vars(Timing())]
+    noise = st.dictionaries(st.sampled_from(fields), JSON)
 
     @FUZZ
     @given(st.dictionaries(st.sampled_from(keys), JSON | noise))
