@@ -5,16 +5,19 @@ numpy; n legs of it have the n-fold convolution of l / (2 R^2) as their density.
 """
 
 import math
+from dataclasses import replace
+from functools import partial
 from itertools import islice, pairwise
 
 import numpy as np
 import pytest
 
-from toftools.camera import pinhole
+from toftools.camera import pinhole, rays
+from toftools.sensors import sensor
 from toftools.sim import _density
 from toftools.sim.bandwidth import bandwidths_m, kernel_gain, rule_of_thumb_m
 from toftools.sim.shapes import cavity
-from toftools.sim.transients import histogram, progressive
+from toftools.sim.transients import histogram, progressive, transient
 from toftools.transient import (
     Samples,
     Transient,
@@ -23,6 +26,7 @@ from toftools.transient import (
     phasors,
     samples_phasor,
 )
+from toftools.types import Scene, Shot
 from toftools.units import path_to_phase, phase_to_range
 
 RADIUS = 2.0
@@ -364,7 +368,7 @@ def test_the_first_bandwidth_follows_silverman():
     rng = np.random.default_rng(13)
     pixel, mean = np.repeat([0, 1], 5000), np.repeat([4.0, 9.0], 5000)
     one = Samples(pixel, mean + rng.normal(0, 0.5, 10_000), np.ones(10_000))
-    assert rule_of_thumb_m(one, (1, 2)) == pytest.approx(2.34 * 0.5 * 5000**-0.2, rel=0.03)
+    assert rule_of_thumb_m(one, (1, 2)) == pytest.approx(1.17 * 0.5 * 5000**-0.2, rel=0.03)
     same = Samples(np.zeros(9, int), np.full(9, 4.0), np.ones(9))
     made = progressive([same], shape=(1, 1), bin_m=0.1, n_bins=100)
     assert made.values.sum() == pytest.approx(9)
@@ -476,3 +480,91 @@ def test_samples_and_axes_that_make_no_sense_are_refused(method, change, words):
 def test_bandwidths_that_make_no_sense_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         progressive([ONE], shape=(2, 2), bin_m=0.1, n_bins=40, **change)
+
+
+# scenes, through the tracer
+
+
+CAVITY = Scene("cavity", {"radius": RADIUS, "albedo": 0.8})
+EYE = sensor("deeptof:width=16,height=12,freqs=20e6+50e6")
+
+
+def test_samples_of_the_tracer_are_what_its_phasors_sum_up():
+    """The same seed draws the same paths; phases there are in single precision."""
+    from toftools._native import import_mitsuba
+    from toftools.sim._flash import flashes_of
+    from toftools.sim._phasors import direct_light, indirect_light
+    from toftools.sim._samples import direct_samples, indirect_samples
+    from toftools.sim._tracer import Task, first_hits
+    from toftools.sim.scenes import world_of
+    from toftools.sim.stage import load
+
+    mi = import_mitsuba()
+    stage = load(world_of(Scene("cornell")))
+    task = Task(mi, stage, flashes_of(mi, stage, EYE))
+    first = first_hits(task, rays(EYE.camera).reshape(-1, 3))
+    freqs = np.array([0.0, 50e6])
+    shared = {"bounces": 5, "samples": 32, "seed": 3}
+    for samples, light in (
+        (direct_samples(task, first), direct_light(task, first, freqs)),
+        (indirect_samples(task, first, **shared), indirect_light(task, first, freqs, **shared)),
+    ):
+        mine = [samples_phasor(samples, EYE.camera.shape, f).ravel() for f in freqs]
+        np.testing.assert_allclose(mine, light.total, rtol=0, atol=2e-6 * abs(light.total).max())
+
+
+def test_the_transient_of_the_cavity_has_the_phasors_of_the_closed_form():
+    shot = Shot(EYE, seed=5, max_bounces=6, samples=256)
+    # The lone direct return at 4 m stands in the middle of a bin.
+    made = transient(CAVITY, shot, bin_m=0.02, n_bins=1600, start_m=0.01, method=histogram)
+    assert made.info["max_bounces"] == 6
+    assert made.info["beyond"] == 0
+    freqs = np.array([0.0, *EYE.modulation.freqs_hz])
+    exact = cavity(EYE.camera, radius=RADIUS, albedo=0.8)
+    for z, freq in zip(phasors(made, freqs), freqs, strict=True):
+        expected = exact.phasor(float(freq), 6)[0, 0]
+        for part in (np.real, np.imag):
+            se = part(z).std(ddof=1) / np.sqrt(z.size)
+            assert abs(part(z).mean() - part(expected)) < 3.5 * se + 2e-5 * abs(expected)
+    first = first_return_m(made, least_share=0.1)
+    np.testing.assert_allclose(first, RADIUS, atol=0.02 / 4 + 1e-6)
+
+
+def test_a_kernel_keeps_direct_light_sharp_and_all_light_there():
+    shot = Shot(EYE, seed=5, max_bounces=4, samples=64)
+    axis = {"bin_m": 0.05, "n_bins": 480}
+    kernel = partial(progressive, bandwidth_m=1.0)
+    smooth = transient(CAVITY, shot, method=kernel, **axis)
+    binned = transient(CAVITY, shot, method=histogram, **axis)
+    assert smooth.info["bandwidths_m"][0] == 1.0
+    assert len(smooth.info["bandwidths_m"]) == 16
+    # Same paths: the same light in all, float32 of 480 bins.
+    np.testing.assert_allclose(smooth.values.sum(axis=0), binned.values.sum(axis=0), rtol=1e-5)
+    direct = 0.8 / RADIUS**2
+    at = round(2 * RADIUS / 0.05)
+    assert (smooth.values[at - 1 : at + 1].sum(axis=0) > 0.999 * direct).all()
+    assert (np.abs(np.diff(smooth.values[at + 1 : at + 20], axis=0)) < 0.05 * direct).all()
+
+
+def test_a_seed_gives_the_same_transient_and_too_little_room_is_made_more(monkeypatch):
+    from toftools.sim import _samples
+
+    shot = Shot(EYE, seed=9, max_bounces=3, samples=32)
+    axis = {"bin_m": 0.05, "n_bins": 400}
+    whole = transient(CAVITY, shot, **axis)
+    monkeypatch.setattr(_samples, "events_per_path", lambda _task, _bounces: 1)
+    assert transient(CAVITY, shot, **axis).values.tobytes() == whole.values.tobytes()
+    other = transient(CAVITY, replace(shot, seed=10), **axis)
+    assert other.values.tobytes() != whole.values.tobytes()
+
+
+def test_without_bounces_the_direct_light_is_all():
+    made = transient(Scene("wall", {"range": 2.0, "albedo": 0.5}), Shot(EYE, max_bounces=0))
+    assert made.info["paths"] == 0
+    expected = 0.5 * rays(EYE.camera)[..., 2] ** 3 / 4
+    np.testing.assert_allclose(made.values.sum(axis=0), expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        first_return_m(made), 2 / rays(EYE.camera)[..., 2], atol=0.01 / 4 + 1e-6
+    )
+    with pytest.raises(ValueError, match="wider bins or a smaller image"):
+        transient(CAVITY, Shot(EYE), n_bins=1 << 40)

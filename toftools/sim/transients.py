@@ -9,7 +9,8 @@ histograms, which is the rate of their root error (D. W. Scott 1979, recalled); 
 against squared error it is n^-2/3. The rates hold for densities with two derivatives. Light that
 jumps (direct returns, edges of what is seen) is smeared over a bandwidth: keep direct light out of
 the kernel, it is known exactly. Kernels are symmetric, so they move no phase away from the ends of
-the axis; they shrink the phasor by `kernel_gain`.
+the axis, but they shrink the phasor by `kernel_gain`: take them to look at transients, and
+histograms for phasors.
 
 References
 ----------
@@ -18,7 +19,8 @@ framework for transient rendering" (SIGGRAPH Asia 2014); C. Knaus and M. Zwicker
 photon mapping: a probabilistic approach" (2011).
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -26,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toftools.sim.bandwidth import ALPHA, bandwidths_m, rule_of_thumb_m
+from toftools.sim.world import World
 from toftools.transient import MOST_VALUES, Samples, Transient
-from toftools.types import F64
+from toftools.types import F64, Scene, Shot
 
 
 def histogram(
@@ -144,7 +147,7 @@ def _averaged(
     for one, width in passes:
         samples = _checked(one, shape)
         counts += _add(values, missed, samples, (start_m, bin_m, width))
-        used.append(width)
+        used.append(float(width))
     if not used:
         _checked(None, shape)
     info: dict[str, Any] = {"method": method, "passes": len(used)}
@@ -208,3 +211,63 @@ def _add(
             numba.get_num_threads())  # fmt: skip
     beyond = np.count_nonzero(position >= values.shape[1])
     return np.array([position.size, np.count_nonzero(position < 0), beyond])
+
+
+def transient(
+    scene: Scene | World,
+    shot: Shot,
+    *,
+    bin_m: float = 0.01,
+    n_bins: int = 2048,
+    start_m: float = 0.0,
+    method: Callable[..., Transient] = progressive,
+) -> Transient:
+    """Transient of any scene, as a sensor's camera and light sources make it.
+
+    Direct light is exact and goes into its bins as it is; the paths of the engine ``path``, through
+    the centres of the pixels, give the rest. Light that is not modulated has no place on the axis,
+    and motion is not seen.
+
+    Parameters
+    ----------
+    scene : Scene or World
+        Scene name or file with its parameters, or a world made by hand.
+    shot : Shot
+        Sensor, seed, bounces and paths per pixel (256 if not given).
+    bin_m, n_bins, start_m
+        Axis, m of whole optical path, as for `histogram`.
+    method : callable
+        `progressive` or `histogram`, for all but direct light; parameters by `functools.partial`.
+
+    Returns
+    -------
+    Transient
+        Relative light; `info` tells the method, bounces and paths, and counts samples of both
+        kinds of light.
+
+    Raises
+    ------
+    ValueError
+        If the scene is broken or the axis makes no sense.
+    """
+    from toftools.sim._samples import traced
+
+    axis: dict[str, Any] = {
+        "shape": shot.sensor.camera.shape, "bin_m": bin_m, "n_bins": n_bins, "start_m": start_m
+    }  # fmt: skip
+    _check_axis(**axis)
+    paths = traced(scene, shot)
+    direct = histogram([paths.direct], **axis)
+    first = next(paths.passes, None)
+    if first is None:
+        return replace(direct, info={**direct.info, **paths.told})
+    rest = method(chain([first], paths.passes), **axis)
+    assert direct.missed is not None
+    assert rest.missed is not None
+    both = {name: direct.info[name] + rest.info[name] for name in ("samples", "before", "beyond")}
+    return replace(
+        rest,
+        values=direct.values + rest.values,
+        missed=direct.missed + rest.missed,
+        info={**rest.info, **both, **paths.told},
+    )
