@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from toftools.sim._flash import flash_light
 from toftools.sim._lamps import lamps_seen
-from toftools.sim._tracer import Jit, Task, trace
+from toftools.sim._task import Jit, Task
+from toftools.sim._tracer import trace
 from toftools.types import F64
 from toftools.units import path_to_phase
 

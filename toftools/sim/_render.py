@@ -13,7 +13,7 @@ import numpy as np
 
 from toftools.sim._phasors import C128, Light, direct_light, indirect_light
 from toftools.sim._stop import range_errors_m
-from toftools.sim._tracer import Task, first_hits
+from toftools.sim._task import Task, first_hits
 from toftools.types import F64
 
 log = logging.getLogger(__name__)

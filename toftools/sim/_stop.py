@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._phasors import C128, direct_light, indirect_light
-from toftools.sim._tracer import Jit, Task, first_hits, trace
+from toftools.sim._task import Jit, Task, first_hits
+from toftools.sim._tracer import trace
 from toftools.types import F64
 from toftools.units import phase_to_range
 

@@ -17,95 +17,32 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from toftools.sim._flash import Flash, flash_light
+from toftools.sim._flash import flash_light
 from toftools.sim._lamps import lamps_at, lamps_hit
 from toftools.sim._sobol import hashed, pair, single
-from toftools.sim.stage import Stage
-from toftools.types import F64
+from toftools.sim._task import MAX_PASSED, Jit, Task
 
-Jit = Any
-"""A Dr.Jit array or structure; the package has no types."""
 Deposit = Callable[[Jit, Jit, Jit, Jit, Jit, Jit], Jit]
 """(sums, lane, path number, bounce, radiance, path in m) -> sums with one contribution more."""
 
-MAX_PASSED = 16  # surfaces with a hole that a ray may pass in a row
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What does not change from pass to pass.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba with a Dr.Jit variant set.
-    stage : Stage
-        Scene.
-    flashes : tuple of Flash
-        The camera's own sources.
-    """
-
-    mi: Any
-    stage: Stage
-    flashes: tuple[Flash, ...]
-
-    @property
-    def lamps(self) -> bool:
-        """Whether the scene's own lamps shine."""
-        return self.stage.lamp_gain > 0 and len(self.stage.scene.emitters()) > 0
-
-    @property
-    def holes(self) -> bool:
-        """Whether some surface has holes, so that even direct light is met by chance."""
-        flags = (s.bsdf().flags() for s in self.stage.scene.shapes() if s.bsdf() is not None)
-        return any(self.mi.has_flag(flag, self.mi.BSDFFlags.Null) for flag in flags)
-
-
-def first_hits(task: Task, directions: F64) -> Jit:
-    """First surface along each viewing direction; holes of masks are seen through.
-
-    Parameters
-    ----------
-    task : Task
-        Scene.
-    directions : ndarray, (N, 3)
-        Unit vectors in the camera frame; NaN sees nothing.
-
-    Returns
-    -------
-    SurfaceInteraction3f
-        Hits; ``t`` is measured from the camera centre, in scene units.
-    """
-    import drjit as dr
-
-    mi, pose = task.mi, task.stage.to_world
-    known = np.asarray(np.isfinite(directions).all(axis=-1))
-    world = np.where(known[:, None], directions, [0.0, 0.0, 1.0]) @ pose[:3, :3].T
-    columns = [mi.Float(np.ascontiguousarray(world[:, i], dtype=np.float32)) for i in range(3)]
-    ray = mi.Ray3f(mi.Point3f(*(float(x) for x in pose[:3, 3])), mi.Vector3f(*columns))
-    seen = mi.Bool(np.ascontiguousarray(known))
-    si = task.stage.scene.ray_intersect(ray, seen)
-    passed = dr.zeros(mi.Float, len(directions))
-    if not task.holes:
-        dr.eval(si)
-        return si
-    for _ in range(MAX_PASSED):
-        hole = si.is_valid() & (si.bsdf().eval_null_transmission(si, seen)[0] > 0.5)
-        if not dr.any(hole):
-            break
-        passed = passed + dr.select(hole, si.t, 0.0)
-        beyond = task.stage.scene.ray_intersect(si.spawn_ray(ray.d), hole)
-        si = dr.select(hole, beyond, si)
-    si.t = si.t + passed
-    dr.eval(si)
-    return si
-
 
 @dataclass
-class _Path:
-    """Where a path stands; a structure that Dr.Jit can loop over."""
+class Path:
+    """Where a path stands; a structure that Dr.Jit can loop over.
+
+    Parameters
+    ----------
+    si : SurfaceInteraction3f
+        Its surface.
+    throughput : Float
+        Radiance at the pixel per radiance here.
+    length_m : Float
+        Optical path to the pixel, m.
+    ior : Float
+        Refractive index of the medium that it stands in.
+    bounce : UInt32
+        Indirect bounces so far.
+    """
 
     si: Jit
     throughput: Jit
@@ -115,8 +52,16 @@ class _Path:
 
 
 @dataclass(frozen=True, eq=False)
-class _Draw:
-    """Random numbers of one step of one path."""
+class Draw:
+    """Random numbers of one step of one path.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    number, key, step : UInt32
+        Number of the path, root of its lane's sequences, and step of the path.
+    """
 
     mi: Any
     number: Jit
@@ -124,13 +69,15 @@ class _Draw:
     step: Jit
 
     def lobe(self) -> Jit:
+        """Number that chooses among what a material can do."""
         return single(self.mi, self.number, self._seed(1, self.step))
 
     def direction(self) -> Jit:
-        """Directions of two steps in a row are one point of four dimensions."""
+        """Direction; those of two steps in a row are one point of four dimensions."""
         return pair(self.mi, self.number, self._seed(2, self.step >> 1), self.step & 1)
 
     def lamp(self) -> tuple[Jit, Jit]:
+        """Place on a lamp, and number that chooses the lamp."""
         mi, seed = self.mi, self._seed(3, self.step)
         return pair(mi, self.number, seed, mi.UInt32(0)), single(mi, self.number, seed ^ 0x55)
 
@@ -176,35 +123,98 @@ def trace(
 
     mi, lanes = task.mi, dr.width(first.t)
     lane = dr.arange(mi.UInt32, lanes)
-    # Opaque: another number must not mean another kernel.
-    limit, paths, root = (dr.opaque(mi.UInt32, x) for x in (bounces, samples, seed & 0xFFFFFFFF))
-    key = hashed(mi, lane ^ hashed(mi, root))
-    start = _Path(first, mi.Float(1), first.t * task.stage.unit_m, mi.Float(1), mi.UInt32(0))
+    start = Path(first, mi.Float(1), first.t * task.stage.unit_m, mi.Float(1), mi.UInt32(0))
+    draw = Draw(mi, mi.UInt32(0), lane_keys(mi, lane, seed), mi.UInt32(0))
+    total = (sums, dr.zeros(mi.Float, lanes))
+    return walk(task, lane, start, draw, (bounces, samples), total, deposit)
 
-    def body(active: Jit, number: Jit, step: Jit, path: _Path, total: Jit) -> tuple[Jit, ...]:
-        who, draw = (lane, number), _Draw(mi, number, key, step)
-        path, alive, total = _bounce(task, who, active, path, draw, limit, total, deposit)
+
+def lane_keys(mi: Any, lane: Jit, seed: int) -> Jit:  # noqa: ANN401 - the module mitsuba
+    """Root of every lane's random numbers.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    lane : UInt32
+        Lanes.
+    seed : int
+        Seed of the whole pass.
+
+    Returns
+    -------
+    UInt32
+        Hashes.
+    """
+    import drjit as dr
+
+    # Opaque: another seed must not mean another kernel.
+    return hashed(mi, lane ^ hashed(mi, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)))
+
+
+def walk(
+    task: Task,
+    lane: Jit,
+    start: Path,
+    draw: Draw,
+    counts: tuple[int, int],
+    total: tuple[Jit, Jit],
+    deposit: Deposit,
+) -> tuple[Jit, Jit]:
+    """Follow paths from where they stand.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    lane : UInt32
+        Number of each lane, for `deposit`.
+    start : Path
+        Where every path of a lane begins.
+    draw : Draw
+        Number of the first path, and of its first step.
+    counts : tuple of int
+        Last bounce, and paths per lane.
+    total : tuple of pytree and Float
+        What has been collected, and the unmodulated radiance.
+    deposit : callable
+        Takes up one contribution of modulated light.
+
+    Returns
+    -------
+    pytree, Float
+        Both with the paths' light added.
+    """
+    import drjit as dr
+
+    mi = task.mi
+    limit, paths = (dr.opaque(mi.UInt32, count) for count in counts)
+    last = draw.number + paths
+
+    def body(active: Jit, number: Jit, step: Jit, path: Path, total: Jit) -> tuple[Jit, ...]:
+        now = Draw(mi, number, draw.key, step)
+        path, alive, total = _bounce(task, (lane, number), active, path, now, limit, total, deposit)
         alive &= path.bounce < limit + int(task.lamps)  # lamps shine on the last surface as well
         alive &= step < 2 * limit + MAX_PASSED  # rays that pass holes do not bounce
         number = dr.select(alive, number, number + 1)
-        step = dr.select(alive, step + 1, 0)
-        return active & (number < paths), number, step, dr.select(alive, path, start), total
+        step = dr.select(alive, step + 1, draw.step)
+        return active & (number < last), number, step, dr.select(alive, path, start), total
 
-    state = (first.is_valid(), mi.UInt32(0), mi.UInt32(0), start, (sums, dr.zeros(mi.Float, lanes)))
-    final = dr.while_loop(state, lambda active, *_: active, body)
-    return final[-1]
+    begin = start.si.is_valid() & (start.bounce < limit + int(task.lamps))
+    state = (begin, draw.number, draw.step, start, total)
+    return dr.while_loop(state, lambda active, *_: active, body)[-1]
 
 
 def _bounce(
     task: Task,
     who: tuple[Jit, Jit],
     active: Jit,
-    path: _Path,
-    draw: _Draw,
+    path: Path,
+    draw: Draw,
     limit: Jit,
     total: tuple[Jit, Jit],
     deposit: Deposit,
-) -> tuple[_Path, Jit, tuple[Jit, Jit]]:
+) -> tuple[Path, Jit, tuple[Jit, Jit]]:
     """One step: lamps at this surface, a new direction, the next surface and the sources there."""
     import drjit as dr
 
@@ -226,7 +236,7 @@ def _bounce(
         sums = deposit(sums, *who, path.bounce, throughput * light.modulated, length_m)
         ambient = ambient + throughput * light.ambient
     passed = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-    new = _Path(
+    new = Path(
         nearby,
         throughput,
         path.length_m + dr.select(hit, ior * nearby.t * stage.unit_m, 0.0),

@@ -27,7 +27,7 @@ from toftools.sensors import resized
 from toftools.sim._flash import flashes_of
 from toftools.sim._render import Image, Order, render
 from toftools.sim._stop import Depth, needed_bounces
-from toftools.sim._tracer import Task, first_hits
+from toftools.sim._task import Task, first_hits
 from toftools.sim.noise import (
     Frame,
     Light,

@@ -1,0 +1,86 @@
+"""What every pass of the tracer shares, and the first surface of every pixel."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._flash import Flash
+from toftools.sim.stage import Stage
+from toftools.types import F64
+
+Jit = Any
+"""A Dr.Jit array or structure; the package has no types."""
+
+MAX_PASSED = 16
+"""Surfaces with a hole that a ray may pass in a row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What does not change from pass to pass.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    stage : Stage
+        Scene.
+    flashes : tuple of Flash
+        The camera's own sources.
+    """
+
+    mi: Any
+    stage: Stage
+    flashes: tuple[Flash, ...]
+
+    @property
+    def lamps(self) -> bool:
+        """Whether the scene's own lamps shine."""
+        return self.stage.lamp_gain > 0 and len(self.stage.scene.emitters()) > 0
+
+    @property
+    def holes(self) -> bool:
+        """Whether some surface has holes, so that even direct light is met by chance."""
+        flags = (s.bsdf().flags() for s in self.stage.scene.shapes() if s.bsdf() is not None)
+        return any(self.mi.has_flag(flag, self.mi.BSDFFlags.Null) for flag in flags)
+
+
+def first_hits(task: Task, directions: F64) -> Jit:
+    """First surface along each viewing direction; holes of masks are seen through.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    directions : ndarray, (N, 3)
+        Unit vectors in the camera frame; NaN sees nothing.
+
+    Returns
+    -------
+    SurfaceInteraction3f
+        Hits; ``t`` is measured from the camera centre, in scene units.
+    """
+    import drjit as dr
+
+    mi, pose = task.mi, task.stage.to_world
+    known = np.asarray(np.isfinite(directions).all(axis=-1))
+    world = np.where(known[:, None], directions, [0.0, 0.0, 1.0]) @ pose[:3, :3].T
+    columns = [mi.Float(np.ascontiguousarray(world[:, i], dtype=np.float32)) for i in range(3)]
+    ray = mi.Ray3f(mi.Point3f(*(float(x) for x in pose[:3, 3])), mi.Vector3f(*columns))
+    seen = mi.Bool(np.ascontiguousarray(known))
+    si = task.stage.scene.ray_intersect(ray, seen)
+    passed = dr.zeros(mi.Float, len(directions))
+    if not task.holes:
+        dr.eval(si)
+        return si
+    for _ in range(MAX_PASSED):
+        hole = si.is_valid() & (si.bsdf().eval_null_transmission(si, seen)[0] > 0.5)
+        if not dr.any(hole):
+            break
+        passed = passed + dr.select(hole, si.t, 0.0)
+        beyond = task.stage.scene.ray_intersect(si.spawn_ray(ray.d), hole)
+        si = dr.select(hole, beyond, si)
+    si.t = si.t + passed
+    dr.eval(si)
+    return si
