@@ -19,7 +19,7 @@ SIDE = 64
 def pairs(device, levels_e, seed):
     """Mean and temporal variance at each level from two images: patterns drop out of differences.
 
-    EMVA Standard 1288, release 4.0, chapter 6 (sensitivity, linearity and noise).
+    As EMVA Standard 1288, Release 4.0 Linear, measures temporal noise.
     """
     rng, shape = np.random.default_rng(seed), (1, device.modulation.n_taps, SIDE, SIDE)
     mean, variance = [], []

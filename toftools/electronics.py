@@ -179,7 +179,8 @@ class Timing:
         Time over which an exposure collects charge, s; it counts for heterodyne taps only.
     beat_hz : float
         Heterodyne: frequency of the reference above that of the light, Hz; 0 is homodyne. The
-        steps of the taps are then ``2 pi beat_hz time``.
+        steps of the taps are then ``2 pi beat_hz time``, time being that of the middle of each
+        exposure after the first of its frequency.
     taps_per_exposure : int
         1, or 2 for a two-tap pixel whose nodes A and B collect every other half period: taps 2i
         and 2i + 1 come from the same exposure, half a turn apart.

@@ -63,7 +63,8 @@ def phasor_sigma(
 def _rounding_dn2(values: F32, noise: Noise) -> F32 | np.float32:
     """Variance of rounding to numbers of the converter: uniform noise over the cell of each.
 
-    A cell as wide as w has w^2 / 12 (EMVA 1288, release 4.0, chapter 2, for w = 1 DN).
+    A cell as wide as w has w^2 / 12 (EMVA Standard 1288, Release 4.0 Linear, for w = 1 DN), good
+    where other noise is wider than half a cell.
     """
     if not noise.codes_dn:
         return np.float32(1 / 12)

@@ -1,10 +1,9 @@
 """From light to taps: everything between the scene and the raw numbers, in the order of nature.
 
 Light passes the lens (scatter), is correlated with the reference (harmonics, contrast, phase
-offsets), collected by the pixel (its gain), joined by dark charge, counted (shot noise, full well),
-read out (read noise) and converted to numbers (quantisation, companding). Engines give light and
-call `capture_taps`, or `capture_moving` where something moves between taps; nothing here knows what
-a scene is. The terms are those of EMVA Standard 1288, release 4.0, chapter 2 (linear camera model).
+offsets) and collected by the pixel (its gain); `readout` makes numbers of the charge. Engines give
+light and call `capture_taps`, or `capture_moving` where something moves between taps; nothing here
+knows what a scene is.
 """
 
 from collections.abc import Callable
@@ -12,8 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from toftools.sim.companding import companded
 from toftools.sim.defects import pixel_maps, pixel_phase_rad
+from toftools.sim.readout import expose as expose
+from toftools.sim.readout import per_tap
 from toftools.sim.scatter import scattered
 from toftools.types import C64, F64, Bool, Sensor, Taps
 
@@ -197,41 +197,6 @@ def clean_taps(light: Light, ambient_e: Ambient, sensor: Sensor) -> F64:
     return charge
 
 
-def expose(charge_e: F64, sensor: Sensor, rng: np.random.Generator | None) -> Taps:
-    """Taps read out from the charge that light leaves.
-
-    Parameters
-    ----------
-    charge_e : ndarray, (F, K, H, W)
-        Expected charge, electrons.
-    sensor : Sensor
-        Dark charge, read noise, full well and converter.
-    rng : numpy.random.Generator or None
-        Source of shot and read noise; None returns the expectation.
-
-    Returns
-    -------
-    Taps
-        In DN if the sensor has a conversion gain, else in electrons; pixels with a tap at full
-        well or at the last code are invalid.
-    """
-    noise = sensor.noise
-    if noise.dark_e or sensor.defects.dsnu_e or sensor.maps is not None:
-        charge_e = charge_e + _per_tap(pixel_maps(sensor).dark_e, charge_e.shape[1])
-    if rng is not None:
-        charge_e = rng.poisson(np.maximum(charge_e, 0)).astype(np.float64)
-    full = np.asarray((charge_e >= noise.full_well_e).any(axis=(0, 1)))
-    read = np.minimum(charge_e, noise.full_well_e)
-    if rng is not None and noise.read_e > 0:
-        read = read + rng.normal(0.0, noise.read_e, size=read.shape)
-    gain = noise.gain_dn_per_e
-    if gain is None:
-        return Taps(values=np.asarray(read, dtype=np.float32), unit="e-", valid=~full)
-    numbers = np.round(read * gain) if not noise.codes_dn else companded(read * gain, noise)
-    full |= (numbers >= noise.top_dn).any(axis=(0, 1))
-    return Taps(np.asarray(np.minimum(numbers, noise.top_dn), np.float32), unit="DN", valid=~full)
-
-
 def _rng(seed: int | None) -> np.random.Generator | None:
     return None if seed is None else np.random.default_rng(seed)
 
@@ -241,7 +206,8 @@ def _harmonics(sensor: Sensor) -> list[tuple[float, list[tuple[int, complex]]]]:
     mod, timing = sensor.modulation, sensor.timing
     assert mod.harmonics is not None
     orders = np.arange(1, mod.harmonics.shape[1] + 1)
-    # Heterodyne: over an exposure harmonic m turns by 2 pi m beat_hz exposure_s against its step.
+    # Heterodyne: over an exposure harmonic m turns by 2 pi m beat_hz exposure_s against its step
+    # ("natural sampling": R. Lange, thesis, Siegen 2000, figure 2.10).
     gate = np.sinc(orders * timing.beat_hz * timing.exposure_s)
     contrast = np.broadcast_to(sensor.noise.contrast, mod.freqs_hz.shape)
     rows = []
@@ -287,11 +253,6 @@ def _collect(charge: F64, picked: Bool, light: Light, ambient_e: Ambient, sensor
     if defects.prnu or defects.ab_gain or sensor.maps is not None:
         node_b = np.arange(mod.n_taps) % sensor.timing.taps_per_exposure == 1
         gain = np.where(node_b, 1 + defects.ab_gain, 1.0)[:, None, None]
-        response = gain * _per_tap(maps.gain, mod.n_taps)
+        response = gain * per_tap(maps.gain, mod.n_taps)
         for i, k in np.argwhere(picked):
             charge[i, k] *= response[k]
-
-
-def _per_tap(nodes: F64, n_taps: int) -> F64:
-    """Map of each tap (K, H, W) from those of the nodes (N, H, W): tap k is of node k modulo N."""
-    return np.asarray(nodes[np.arange(n_taps) % nodes.shape[0]])

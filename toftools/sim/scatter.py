@@ -3,8 +3,11 @@
 The kernel is ``(1 - s) delta + s G`` with G a Gaussian of standard deviation `scatter_px`, mirrored
 at the image borders: light that would leave the image stands for what comes in from outside, and no
 energy is lost. It acts on complex light and on its mean alike, so that a bright near object drags
-the phase of dark pixels around it towards its own. Real lenses have longer tails than one Gaussian;
-sums of several fit better (J. Mure-Dubois and H. Huegli, ICVS 2007; recalled).
+the phase of dark pixels around it towards its own (J. Mure-Dubois, H. Huegli, "Real-time scattering
+compensation for time-of-flight camera", ICVS 2007: scattering is linear in the complex image). One
+Gaussian is the simplest kernel in use; real lenses have longer tails, which measured kernels show
+(T. Kavli et al., "Modelling and compensating measurement errors caused by scattering in
+time-of-flight cameras", 2008).
 """
 
 import numpy as np

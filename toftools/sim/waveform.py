@@ -2,7 +2,8 @@
 
 The correlation of two periodic waves has the product of their Fourier coefficients as harmonics;
 taps sample it at K points, so harmonics m = +-1 modulo K alias onto the first and bend the phase
-(R. Lange, P. Seitz, IEEE JQE 37 (2001) 390-397, describe the effect; recalled). How much of the
+(R. Lange, "3D time-of-flight distance measurement with custom solid-state image sensors", thesis,
+Siegen 2000, figure 2.13, shows it for a square wave and four taps). How much of the
 light is modulated is not told here but by ``Noise.contrast``: square against square makes 0.81.
 """
 
