@@ -14,6 +14,8 @@ Jit = Any
 
 MAX_PASSED = 16
 """Surfaces with a hole that a ray may pass in a row."""
+LEAST_COSINE = 0.03
+"""Rays that graze a surface more than this start closer to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +42,47 @@ class Task:
         return self.stage.lamp_gain > 0 and len(self.stage.scene.emitters()) > 0
 
     @property
+    def chance_direct(self) -> bool:
+        """Whether some direct light can only be met by chance."""
+        return self.lamps or self.holes
+
+    @property
     def holes(self) -> bool:
         """Whether some surface has holes, so that even direct light is met by chance."""
         flags = (s.bsdf().flags() for s in self.stage.scene.shapes() if s.bsdf() is not None)
         return any(self.mi.has_flag(flag, self.mi.BSDFFlags.Null) for flag in flags)
+
+
+def next_hit(task: Task, si: Jit, away: Jit, active: Jit) -> Jit:
+    """First surface along a direction from other surfaces.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    si : SurfaceInteraction3f
+        Where the rays start.
+    away : Vector3f
+        Unit vectors in the scene frame.
+    active : Bool
+        Which rays count.
+
+    Returns
+    -------
+    SurfaceInteraction3f
+        Hits; ``t`` is measured from the surface itself.
+    """
+    import drjit as dr
+
+    mi = task.mi
+    # Mitsuba shifts rays sideways off the surface, by 1e-4 of its coordinates: millimetres of path
+    # where those are large. Along the ray itself the same height moves nothing but the start.
+    height = (1 + dr.max(dr.abs(si.p))) * mi.math.RayEpsilon
+    skipped = height / dr.maximum(dr.abs(dr.dot(si.n, away)), LEAST_COSINE)
+    ray = mi.Ray3f(dr.fma(away, skipped, si.p), away, si.time, si.wavelengths)
+    nearby = task.stage.scene.ray_intersect(ray, active)
+    nearby.t += skipped
+    return nearby
 
 
 def first_hits(task: Task, directions: F64) -> Jit:
@@ -79,7 +118,7 @@ def first_hits(task: Task, directions: F64) -> Jit:
         if not dr.any(hole):
             break
         passed = passed + dr.select(hole, si.t, 0.0)
-        beyond = task.stage.scene.ray_intersect(si.spawn_ray(ray.d), hole)
+        beyond = next_hit(task, si, ray.d, hole)
         si = dr.select(hole, beyond, si)
     si.t = si.t + passed
     dr.eval(si)

@@ -20,7 +20,7 @@ from typing import Any
 from toftools.sim._flash import flash_light
 from toftools.sim._lamps import lamps_at, lamps_hit
 from toftools.sim._sobol import hashed, pair, single
-from toftools.sim._task import MAX_PASSED, Jit, Task
+from toftools.sim._task import MAX_PASSED, Jit, Task, next_hit
 
 Deposit = Callable[[Jit, Jit, Jit, Jit, Jit, Jit], Jit]
 """(sums, lane, path number, bounce, radiance, path in m) -> sums with one contribution more."""
@@ -228,7 +228,7 @@ def _bounce(
     throughput = path.throughput * weight[0]
     ior = path.ior * sample.eta
     active = active & (throughput > 0)
-    nearby = stage.scene.ray_intersect(si.spawn_ray(si.to_world(sample.wo)), active)
+    nearby = next_hit(task, si, si.to_world(sample.wo), active)
     hit = active & nearby.is_valid()
     if task.lamps:
         light = lamps_hit(mi, stage, si, nearby, sample, active)
