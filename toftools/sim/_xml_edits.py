@@ -45,7 +45,10 @@ def _drop_engine(root: Element, notes: Notes) -> None:
 
 
 def _keep_pose(root: Element, notes: Notes) -> None:
-    """Of the first sensor only the pose: the ToF sensor brings its own optics."""
+    """Of the first sensor only the pose: the ToF sensor brings its own optics.
+
+    An orthographic one stands in for it, which bears a pose with a scale.
+    """
     for i, sensor in enumerate(root.findall("sensor")):
         if i > 0:
             root.remove(sensor)
@@ -55,7 +58,7 @@ def _keep_pose(root: Element, notes: Notes) -> None:
             if child.tag != "transform":
                 sensor.remove(child)
         sensor.attrib.clear()
-        sensor.set("type", "perspective")
+        sensor.set("type", "orthographic")
         notes["kept only the pose of the sensor"] += 1
 
 
@@ -102,6 +105,12 @@ def _to_diffuse(root: Element, notes: Notes) -> None:
                 bsdf.remove(child)
 
 
+def _look_at(root: Element, notes: Notes) -> None:
+    for element in root.iter("lookAt"):
+        element.tag = "lookat"
+        notes["lookAt -> lookat"] += 1
+
+
 def _bilinear(root: Element, notes: Notes) -> None:
     for element in root.iter("string"):
         if element.get("name") in ("filterType", "filter_type") and element.get("value") in (
@@ -141,6 +150,7 @@ EDITS: tuple[Callable[[Element, Notes], None], ...] = (
     _drop_names,
     _uncoat,
     _to_diffuse,
+    _look_at,
     _bilinear,
     _triples,
     _version,

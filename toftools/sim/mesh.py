@@ -151,8 +151,6 @@ def _claims(path: Path) -> int:
     """Most elements that the header of a PLY or OFF file claims; each takes a byte or more."""
     with path.open("rb") as file:
         head = file.read(4096)
-    if path.suffix.lower() == ".ply":
-        return max(map(int, re.findall(rb"element\s+\w+\s+(\d+)", head)), default=0)
-    if path.suffix.lower() == ".off":
-        return max(map(int, re.findall(rb"\b\d+\b", head.partition(b"\n")[2][:80])), default=0)
-    return 0
+    off = re.match(rb"\s*[A-Z]*OFF\s+(?:#.*\s+)*(\d+)\s+(\d+)", head)
+    ply = re.findall(rb"element\s+\w+\s+(\d+)", head) if head.startswith(b"ply") else []
+    return max(map(int, off.groups() if off else ply), default=0)
