@@ -177,6 +177,11 @@ def test_a_wall_rendered_from_the_near_plane_reads_its_distance(near_clip, unit_
     np.testing.assert_allclose(amplitude, np.broadcast_to(0.8 * exact, amplitude.shape), rtol=1e-5)
 
 
+def test_the_near_plane_is_reached_where_its_depth_says():
+    ends = near_path_m(CAMERA, 0.1, CAMERA.shape)[..., None] * rays(CAMERA)
+    np.testing.assert_allclose(ends[..., 2], 0.1)
+
+
 def test_forgetting_the_near_plane_shortens_the_range():
     """What the correction corrects: half the missing way, 5 mm at Mitsuba's default."""
     short = -near_path_m(CAMERA, 0.01, CAMERA.shape)
@@ -524,6 +529,17 @@ def test_datasets_that_lie_elsewhere_are_refused(tmp_path):
         del file["values"]
         file.create_group("values")
     with pytest.raises(ValueError, match="must be a dataset of numbers"):
+        read_transient(path)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_arrays_beyond_the_limit_are_refused(suffix, tmp_path, monkeypatch):
+    from toftools.io import stored
+
+    path = foreign.transient(tmp_path, suffix=suffix)
+    size = foreign.transient_bins().nbytes
+    monkeypatch.setattr(stored, "MAX_BYTES", size - 1)
+    with pytest.raises(ValueError, match=rf"values claims \d+ bytes.*at most {size - 1} are read"):
         read_transient(path)
 
 

@@ -249,6 +249,17 @@ def test_kernels_shrink_phasors_by_a_real_number_and_move_no_phase():
     assert np.abs(turned).max() < 1e-5
 
 
+def test_kernel_gain_is_the_integral_of_the_kernel_against_the_wave():
+    u = (np.arange(20_000) + 0.5) / 10_000 - 1
+    kernel = 0.75 * (1 - u**2)
+    # On both sides of where the closed form gives way to its series, x = 0.01, and far away.
+    for x in (0.0, 1e-4, 0.0099, 0.0101, 1.0, 5.0, 20.0):
+        width_m = x / float(path_to_phase(1.0, 50e6))
+        exact = (kernel * np.cos(x * u)).mean() * 2
+        # The midpoint sum is good to 1e-8, the series to x^4 / 280 = 4e-11.
+        np.testing.assert_allclose(kernel_gain([width_m], 50e6), exact, rtol=0, atol=2e-8)
+
+
 def test_frequencies_that_bins_cannot_hold_are_refused():
     made = Transient(np.ones((4, 1, 1), np.float32), 1.0)
     assert np.isfinite(phasors(made, 140e6)).all()
@@ -495,7 +506,7 @@ def test_samples_of_the_tracer_are_what_its_phasors_sum_up():
     from toftools.sim._flash import flashes_of
     from toftools.sim._phasors import direct_light, indirect_light
     from toftools.sim._samples import direct_samples, indirect_samples
-    from toftools.sim._tracer import Task, first_hits
+    from toftools.sim._task import Task, first_hits
     from toftools.sim.scenes import world_of
     from toftools.sim.stage import load
 
