@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from toftools.sim._flash import flash_light
 from toftools.sim._lamps import lamps_seen
 from toftools.sim._task import Jit, Task
-from toftools.sim._tracer import trace
+from toftools.sim._tracer import Deposit, trace
 from toftools.types import F64
 from toftools.units import path_to_phase
 
 C128 = NDArray[np.complex128]
-PARTS = ("direct", "one_bounce", "rest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,47 +99,160 @@ def indirect_light(
     """
     import drjit as dr
 
-    mi, lanes = task.mi, dr.width(first.t)
-    cycles = [float(path_to_phase(1.0, f) / (2 * np.pi)) for f in freqs_hz]
-    sums = [[_zeros(mi, lanes, freq) for freq in freqs_hz] for _ in PARTS]
+    lanes = dr.width(first.t)
+    sums, ambient = trace(
+        task,
+        first,
+        bounces=bounces,
+        samples=samples,
+        seed=seed,
+        sums=empty_sums(task, lanes, freqs_hz),
+        deposit=depositor(task, freqs_hz),
+    )
+    return light_of(sums, ambient, samples)
+
+
+def empty_sums(task: Task, lanes: int, freqs_hz: F64) -> Jit:
+    """Sums of phasors that `depositor` adds to: by bounce, frequency, and real and imaginary part.
+
+    Parameters
+    ----------
+    task : Task
+        Scene; direct light is summed only where it is met by chance.
+    lanes : int
+        Number of lanes.
+    freqs_hz : ndarray, (Q,)
+        Frequencies, Hz; 0 Hz has no imaginary part.
+
+    Returns
+    -------
+    list of list of tuple of Float
+        Zeros.
+    """
+    import drjit as dr
+
+    mi, parts = task.mi, 3 if task.chance_direct else 2
+    return [
+        [tuple(dr.zeros(mi.Float, lanes) for _ in range(2 if freq else 1)) for freq in freqs_hz]
+        for _ in range(parts)
+    ]
+
+
+def depositor(task: Task, freqs_hz: F64) -> Deposit:
+    """How a contribution goes into the sums.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    freqs_hz : ndarray, (Q,)
+        Frequencies, Hz.
+
+    Returns
+    -------
+    callable
+        A `Deposit` for `trace` and `walk`.
+    """
+    import drjit as dr
+
+    cycles = cycles_per_m(freqs_hz)
 
     def deposit(sums: Jit, _lane: Jit, _number: Jit, bounce: Jit, light: Jit, path_m: Jit) -> Jit:
-        shares = [
-            dr.select(bounce == 0, light, 0.0),
-            dr.select(bounce == 1, light, 0.0),
-            dr.select(bounce > 1, light, 0.0),
-        ]
-        turns = [_turn(mi, cycle, path_m) for cycle in cycles]
+        kinds = [bounce == 0] * (len(sums) - 2) + [bounce == 1, bounce > 1]
+        turns = [turn(task.mi, cycle, path_m) for cycle in cycles]
         return [
-            [tuple(a + share * b for a, b in zip(old, turn, strict=True))
-             for old, turn in zip(part, turns, strict=True)]
-            for part, share in zip(sums, shares, strict=True)
-        ]  # fmt: skip
+            added(part, dr.select(kind, light, 0.0), turns)
+            for part, kind in zip(sums, kinds, strict=True)
+        ]
 
-    sums, ambient = trace(
-        task, first, bounces=bounces, samples=samples, seed=seed, sums=sums, deposit=deposit
-    )
+    return deposit
+
+
+def added(part: Jit, light: Jit, turns: Jit) -> Jit:
+    """One sum of phasors with one contribution more.
+
+    Parameters
+    ----------
+    part : list of tuple of Float
+        Sum by frequency.
+    light : Float
+        Radiance.
+    turns : list of tuple of Float
+        Phase factor, or another phasor, by frequency.
+
+    Returns
+    -------
+    list of tuple of Float
+        New sum.
+    """
+    return [
+        tuple(a + light * b for a, b in zip(old, turn, strict=True))
+        for old, turn in zip(part, turns, strict=True)
+    ]
+
+
+def light_of(sums: Jit, ambient: Jit, samples: int) -> Light:
+    """Mean light of finished sums.
+
+    Parameters
+    ----------
+    sums, ambient : pytree and Float
+        What was collected.
+    samples : int
+        Over how many paths per lane.
+
+    Returns
+    -------
+    Light
+        In numpy.
+    """
+    import drjit as dr
+
     dr.eval(sums, ambient)
-    direct, one_bounce, rest = (
-        np.stack([_complex(pair) for pair in part]) / samples for part in sums
-    )
-    return Light(direct, one_bounce, rest, _numpy(ambient) / samples)
+    parts = [np.stack([_complex(pair) for pair in part]) / samples for part in sums]
+    direct = parts[0] if len(parts) == 3 else np.zeros_like(parts[0])
+    return Light(direct, parts[-2], parts[-1], _numpy(ambient) / samples)
 
 
-def _zeros(mi: Any, lanes: int, freq_hz: float) -> tuple[Jit, ...]:  # noqa: ANN401
-    """Sum of one frequency: real and imaginary part, at 0 Hz the real one alone."""
+def cycles_per_m(freqs_hz: F64) -> list[float]:
+    """Turns of the phase per metre of path.
+
+    Parameters
+    ----------
+    freqs_hz : ndarray, (Q,)
+        Frequencies, Hz.
+
+    Returns
+    -------
+    list of float
+        ``f / c``, 1/m.
+    """
+    return [float(path_to_phase(1.0, freq) / (2 * np.pi)) for freq in freqs_hz]
+
+
+def turn(mi: Any, cycles: float, path_m: Jit) -> tuple[Jit, ...]:  # noqa: ANN401
+    """Phase factor ``exp(+j 2 pi f path / c)`` in parts, at 0 Hz the real one alone.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    cycles : float
+        Turns per metre.
+    path_m : Float
+        Optical path, m.
+
+    Returns
+    -------
+    tuple of Float
+        Cosine and sine.
+    """
     import drjit as dr
 
-    return tuple(dr.zeros(mi.Float, lanes) for _ in range(2 if freq_hz else 1))
-
-
-def _turn(mi: Any, cycles_per_m: float, path_m: Jit) -> tuple[Jit, ...]:  # noqa: ANN401
-    """``exp(+j 2 pi f path / c)`` in parts; whole turns go first, while single precision holds."""
-    import drjit as dr
-
-    if cycles_per_m == 0:
+    if cycles == 0:
         return (mi.Float(1),)
-    turns = path_m * cycles_per_m
+    turns = path_m * cycles
+    # Whole turns go first, while single precision holds them.
     sine, cosine = dr.sincos((turns - dr.floor(turns)) * dr.two_pi)
     return cosine, sine
 

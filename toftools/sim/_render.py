@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._phasors import C128, Light, direct_light, indirect_light
+from toftools.sim._phasors import C128, Light, direct_light
+from toftools.sim._reuse import shared_light
 from toftools.sim._stop import range_errors_m
 from toftools.sim._task import Task, first_hits
 from toftools.types import F64
@@ -19,8 +20,10 @@ from toftools.types import F64
 log = logging.getLogger(__name__)
 
 TILE = 16
+BLOCK = 4
+"""Side of the blocks of pixels that share paths, `GROUP` in all."""
 PASSES = 4
-FIRST_PATHS = 16
+FIRST_PATHS = 4
 FAINT = 0.01
 """Pixels this much darker than the median do not count for a tile's error: they tell no range."""
 MAX_LANES = 1 << 20
@@ -101,22 +104,28 @@ def render(task: Task, order: Order) -> Image:
         Light per pixel.
     """
     height, width, inside, _ = order.directions.shape
-    views = order.directions.reshape(height * width, inside, 3)
-    direct = _each(views, lambda part: direct_light(task, first_hits(task, part), order.freqs_hz))
+    tiles, turn = _tiles(height, width)  # neighbours in the image become neighbours in the list
+    views = order.directions.reshape(height * width, inside, 3)[turn]
+    direct = _each(
+        views, lambda part, _: direct_light(task, first_hits(task, part), order.freqs_hz)
+    )
     sums = _Sums(len(order.freqs_hz), height * width)
     if order.bounces > 0 or task.lamps or task.holes:
-        tiles = _tiles(height, width)
         _rounds(task, order, views, direct.direct, tiles, sums)
-    known = sums.samples > 0
-    shape = (-1, height, width)
-    parts = [(part / np.maximum(sums.samples, 1)).reshape(shape) for part in sums.parts]
+    known, count = sums.samples > 0, np.maximum(sums.samples, 1)
+
+    def image(values: Any) -> Any:  # noqa: ANN401 - (..., N) to (..., H, W), any kind
+        back = np.empty_like(values)
+        back[..., turn] = values
+        return back.reshape(*values.shape[:-1], height, width)
+
     return Image(
-        direct=direct.direct.reshape(shape) + parts[0],
-        one_bounce=parts[1],
-        rest=parts[2],
-        ambient=(direct.ambient + sums.ambient / np.maximum(sums.samples, 1)).reshape(shape[1:]),
-        samples=sums.samples.reshape(shape[1:]),
-        error_m=np.where(known, sums.error_m, 0.0).reshape(shape[1:]),
+        direct=image(direct.direct + sums.parts[0] / count),
+        one_bounce=image(sums.parts[1] / count),
+        rest=image(sums.parts[2] / count),
+        ambient=image(direct.ambient + sums.ambient / count),
+        samples=image(sums.samples),
+        error_m=image(np.where(known, sums.error_m, 0.0)),
     )
 
 
@@ -169,23 +178,27 @@ def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
 
 def _pass(task: Task, order: Order, views: F64, each: int, number: int) -> Light:
     """One independent estimate of some pixels."""
-    settings: dict[str, Any] = {
-        "bounces": order.bounces,
-        "samples": each,
-        "seed": order.seed * 0x10001 + number,
-    }
-    return _each(
-        views,
-        lambda part: indirect_light(task, first_hits(task, part), order.freqs_hz, **settings),
-    )
+
+    def light(part: F64, place: int) -> Light:
+        seed = (order.seed * 0x10001 + number) * 0x3D4D51CB + place  # another one for every part
+        return shared_light(
+            task,
+            first_hits(task, part),
+            order.freqs_hz,
+            bounces=order.bounces,
+            samples=each,
+            seed=seed,
+        )
+
+    return _each(views, light)
 
 
-def _each(views: F64, light: Callable[[F64], Light]) -> Light:
+def _each(views: F64, light: Callable[[F64, int], Light]) -> Light:
     """Light of pixels, a bounded number of lanes at a time, averaged over the points in each."""
     inside = views.shape[1]
     step = max(1, MAX_LANES // inside)
     done = [
-        _stacked(light(views[i : i + step].reshape(-1, 3)), inside)
+        _stacked(light(views[i : i + step].reshape(-1, 3), i), inside)
         for i in range(0, len(views), step)
     ]
     return Light(*(np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)))
@@ -231,7 +244,9 @@ def _judge(
     sums.error_m[chosen] = np.sqrt(pooled / np.maximum(count, 1))[tiles[chosen]]
 
 
-def _tiles(height: int, width: int) -> Any:  # noqa: ANN401 - ints
-    """Number of the tile of every pixel."""
-    row, column = np.mgrid[0:height, 0:width] // TILE
-    return (row * (-(-width // TILE)) + column).ravel()
+def _tiles(height: int, width: int) -> tuple[Any, Any]:
+    """Tile of every pixel in the order of work, and that order: tiles, and small blocks in them."""
+    row, column = (axis.ravel() for axis in np.mgrid[0:height, 0:width])
+    tile = row // TILE * (-(-width // TILE)) + column // TILE
+    turn = np.lexsort((column, row, column // BLOCK, row // BLOCK, tile))
+    return tile[turn], turn

@@ -76,8 +76,9 @@ def next_hit(task: Task, si: Jit, away: Jit, active: Jit) -> Jit:
 
     mi = task.mi
     # Mitsuba shifts rays sideways off the surface, by 1e-4 of its coordinates: millimetres of path
-    # where those are large. Along the ray itself the same height moves nothing but the start.
-    height = (1 + dr.max(dr.abs(si.p))) * mi.math.RayEpsilon
+    # where those are large. Along the ray itself a shift moves nothing but the start; a twentieth
+    # is still above rounding, and misses next to nothing in corners.
+    height = (1 + dr.max(dr.abs(si.p))) * (mi.math.RayEpsilon / 20)
     skipped = height / dr.maximum(dr.abs(dr.dot(si.n, away)), LEAST_COSINE)
     ray = mi.Ray3f(dr.fma(away, skipped, si.p), away, si.time, si.wavelengths)
     nearby = task.stage.scene.ray_intersect(ray, active)
