@@ -143,14 +143,14 @@ def test_an_answer_that_is_none_is_refused(capsys, capture_file, monkeypatch, tm
 
 
 BAD = [
-    (["simulate", "korner", "--out", "x.h5"], "no closed form for scene 'korner'"),
+    (["simulate", "korner", "--out", "x.h5"], "unknown scene 'korner'"),
     (["simulate", "wall:colour=3", "--out", "x.h5"], "has no parameter 'colour'"),
     (["simulate", "wall:range=2,tilt", "--out", "x.h5"], "wanted key=value"),
     (["simulate", "wall", "--sensor", "nikon", "--out", "x.h5"], "unknown sensor 'nikon'"),
     (["simulate", "wall", "--sensor", "deeptof:freqs=20", "--out", "x.h5"], "give Hz, not MHz"),
     (["simulate", "wall", "--sensor", "deeptof:width=0", "--out", "x.h5"], "width and height"),
     (["simulate", "wall", "--out", "no/such/folder/x.h5"], "choose a writable folder"),
-    (["simulate", "wall", "--engine", "magic", "--out", "x.h5"], "'magic' is not one of"),
+    (["simulate", "wall", "--engine", "magic", "--out", "x.h5"], "unknown name 'magic'"),
     (["correct", "missing.h5", "--out", "x.npz"], "missing.h5"),
     (["correct", "CAPTURE", "--method", "nope", "--out", "x.npz"], "unknown name 'nope'"),
     (["correct", "CAPTURE", "--method", "crt:foo=1", "--out", "x.npz"], "has no parameter 'foo'"),
@@ -174,8 +174,8 @@ TYPED = [
     (["simulate", "wall:range=1+2"], "wanted a number"),
     (["simulate", "wall:ambient_e=x"], "got ambient_e='x', wanted a number"),
     (["simulate", "wall:ambient_e=-1"], "must be non-negative"),
-    (["simulate", "room.xml"], "scene files need a rendering engine, which this version does not"),
-    (["simulate", "scenes/room"], "scene files need a rendering engine"),
+    (["simulate", "room.xml"], "got nothing there at room.xml, wanted a scene file"),
+    (["simulate", "scenes/room"], "got the file 'scenes/room', whose kind is not known"),
     (["simulate", "wall:kind"], "wanted key=value"),
     (["simulate", "wall:range=2,range=3"], "got range twice"),
     (["simulate", "corner:angle=x"], "got angle='x', wanted a number such as 90"),

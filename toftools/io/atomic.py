@@ -37,18 +37,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     ['a.txt']
     """
     target = Path(target).resolve()  # a link keeps pointing at what is replaced
-    if target.exists() and not target.is_file():
-        msg = f"cannot write {target}: it is there and not a plain file; choose another name"
-        raise ValueError(msg)
-    try:
-        handle, name = tempfile.mkstemp(
-            dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix
-        )
-        os.close(handle)
-    except OSError as error:
-        msg = f"cannot write {target}: {error.strerror or error}; choose a writable folder"
-        raise ValueError(msg) from error
-    temporary = Path(name)
+    temporary = _temporary(target)
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -63,3 +52,35 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         raise ValueError(msg) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_target(target: Path | str) -> None:
+    """Refuse a file that cannot be written, before the work that it is for.
+
+    Parameters
+    ----------
+    target : path
+        Final file.
+
+    Raises
+    ------
+    ValueError
+        As `atomic_path`, apart from the full disk.
+    """
+    _temporary(Path(target).resolve()).unlink()
+
+
+def _temporary(target: Path) -> Path:
+    """A new file beside the target."""
+    if target.exists() and not target.is_file():
+        msg = f"cannot write {target}: it is there and not a plain file; choose another name"
+        raise ValueError(msg)
+    try:
+        handle, name = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix
+        )
+        os.close(handle)
+    except OSError as error:
+        msg = f"cannot write {target}: {error.strerror or error}; choose a writable folder"
+        raise ValueError(msg) from error
+    return Path(name)

@@ -60,8 +60,8 @@ def analytic(scene: Scene) -> Callable[[Shot], Capture]:
     """
     if scene.name not in SCENES and (Path(scene.name).suffix or "/" in scene.name):
         msg = (
-            f"got the file {scene.name!r}: scene files need a rendering engine, which this version "
-            f"does not have; known scenes: {', '.join(SCENES)}"
+            f"got the file {scene.name!r}: scene files have no closed form, take the engine path; "
+            f"known scenes: {', '.join(SCENES)}"
         )
         raise ValueError(msg)
     if scene.name not in SCENES:

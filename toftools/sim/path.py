@@ -214,6 +214,8 @@ def _told(shot: Shot, frames: dict[float, _Frame], world: World, antialias: int)
         "tolerance_mm": 1e3 * shot.tol_m if shot.samples is None else None,
         "tolerance_met": None if shot.samples is not None or worst_mm is None
         else worst_mm <= 1e3 * shot.tol_m,
+        "within_tolerance": None if shot.samples is not None or worst_mm is None
+        else float((error_m[known] <= shot.tol_m).mean()),
         "antialias": antialias,
         "ambient_e": world.ambient_e,
         "lamps": {"modulated": int(lamps.sum()), "ambient": int((~lamps).sum())},

@@ -197,7 +197,7 @@ def _draw_map(
     scale: tuple[float, float, float],
 ) -> None:
     """One map; what is not finite shows the hatched ground behind it."""
-    axes.add_patch(_no_answer((0, 0, 1, 1), axes.transAxes))
+    axes.add_patch(no_answer((0, 0, 1, 1), axes.transAxes))
     axes.imshow(
         np.ma.masked_invalid(np.asarray(image, dtype=np.float64)),
         cmap=_KINDS[kind].cmap, vmin=scale[0], vmax=scale[1],
@@ -213,8 +213,21 @@ def _draw_map(
                   bbox={"facecolor": "white", "edgecolor": "none", "pad": 3})  # fmt: skip
 
 
-def _no_answer(box: tuple[float, float, float, float], transform: Any) -> Any:  # noqa: ANN401
-    """The hatching that stands for no answer."""
+def no_answer(box: tuple[float, float, float, float], transform: Any) -> Any:  # noqa: ANN401
+    """The hatching that stands for no answer.
+
+    Parameters
+    ----------
+    box : tuple of 4 floats
+        Left, bottom, width and height.
+    transform : matplotlib.transforms.Transform
+        Coordinates of the box.
+
+    Returns
+    -------
+    matplotlib.patches.Rectangle
+        The patch, behind everything else.
+    """
     from matplotlib.patches import Rectangle
 
     left, bottom, width, height = box
@@ -225,7 +238,7 @@ def _no_answer(box: tuple[float, float, float, float], transform: Any) -> Any:  
 def _draw_key(figure: Any, grid: Layout) -> None:  # noqa: ANN401
     """What the hatching means, at the foot of the colour bars."""
     left = grid.width_px - BAR_PX + 12
-    figure.add_artist(_no_answer(grid.box(left, GAP_PX, 14, 14), figure.transFigure))
+    figure.add_artist(no_answer(grid.box(left, GAP_PX, 14, 14), figure.transFigure))
     x, y, _, _ = grid.box(left + 21, GAP_PX + 7, 0, 0)
     figure.text(x, y, "no answer", fontsize=9, va="center", color="#222")
 

@@ -1,0 +1,121 @@
+"""What `toftools simulate` says about a capture: what was modelled, why, and how well."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from toftools.types import Capture
+
+LABEL = 14
+
+
+def told(capture: Capture, *, wall_s: float, peak_mb: float) -> list[str]:
+    """The report of one capture, a line each.
+
+    Parameters
+    ----------
+    capture : Capture
+        With the provenance of the engine that made it.
+    wall_s : float
+        Time it took, s.
+    peak_mb : float
+        Largest memory of the process, MB; NaN where nobody knows.
+
+    Returns
+    -------
+    list of str
+        Lines, of which the first is about the engine.
+    """
+    facts = capture.provenance
+    lines = [
+        ("engine", f"{facts['engine']}, because {facts['engine_why']}"),
+        *_light(facts),
+        *_paths(facts),
+        *_lamps(facts),
+        *((("not modelled", str(facts["not_modelled"])),) if "not_modelled" in facts else ()),
+        *(("scene edit", str(note)) for note in facts.get("scene_notes", ())),
+        ("pixels", _pixels(capture)),
+        ("took", _cost(wall_s, peak_mb)),
+    ]
+    return [f"  {label:<{LABEL}}{text}" for label, text in lines]
+
+
+def _light(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    bounces = facts.get("max_bounces")
+    if "max_bounces_why" in facts:
+        yield "bounces", f"{bounces}: {facts['max_bounces_why']}"
+    else:
+        yield "bounces", "all that the engine has" if bounces is None else f"{bounces} at most"
+
+
+def _paths(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Paths and what they reached; a missed tolerance is said aloud, with what helps."""
+    if "samples" not in facts:
+        return
+    most, mean, error = facts["samples"], facts["samples_mean"], facts["standard_error_mm"]
+    known = "" if error is None else f"; standard error of range up to {_mm(error)} in a tile"
+    yield "paths", f"up to {most} a pixel, {mean:.0f} on average{known}"
+    if facts["tolerance_met"]:
+        yield "tolerance", f"{facts['tolerance_mm']:g} mm met in every tile"
+    elif facts["tolerance_met"] is not None:
+        yield "tolerance", missed(facts)
+
+
+def missed(facts: Mapping[str, Any]) -> str:
+    """One sentence about a tolerance that was not met.
+
+    Parameters
+    ----------
+    facts : mapping
+        Provenance of the path engine.
+
+    Returns
+    -------
+    str
+        What was wanted, what was reached, and what to do.
+    """
+    wanted, reached, most = facts["tolerance_mm"], facts["standard_error_mm"], facts["samples"]
+    share = facts.get("within_tolerance")
+    where = "" if share is None else f" in {1 - share:.1%} of the pixels"
+    return (
+        f"{wanted:g} mm NOT MET{where}, the worst tile has {_mm(reached)} after {most} paths a "
+        f"pixel; allow more (--engine path:max_samples={4 * most}) or accept more "
+        f"(--tol-mm {_up(reached):g})"
+    )
+
+
+def _lamps(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    lamps = facts.get("lamps", {})
+    if sum(lamps.values()):
+        off = facts["lamp_gain"] == 0
+        state = "switched off" if off else f"radiance 1 counts {facts['lamp_gain']:g}"
+        yield "lamps", f"{lamps['modulated']} modulated, {lamps['ambient']} ambient, {state}"
+    if facts.get("ambient_e"):
+        yield "ambient", f"{facts['ambient_e']:g} electrons per tap on every pixel, unmodulated"
+
+
+def _pixels(capture: Capture) -> str:
+    import numpy as np
+
+    parts = []
+    if capture.truth is not None:
+        parts.append(f"{np.isfinite(capture.truth.range_m).mean():.1%} see a surface")
+    if capture.taps is not None and not capture.taps.valid.all():
+        parts.append(f"{(~capture.taps.valid).mean():.1%} are saturated")
+    return ", ".join(parts)
+
+
+def _cost(wall_s: float, peak_mb: float) -> str:
+    memory = f", at most {peak_mb:.0f} MB of memory" if peak_mb == peak_mb else ""
+    return f"{wall_s:.1f} s{memory}"
+
+
+def _mm(value: float) -> str:
+    return f"{value:.2g} mm"
+
+
+def _up(value: float) -> float:
+    """The next round number of millimetres."""
+    from math import ceil, floor, log10
+
+    step = 10.0 ** floor(log10(value))
+    return ceil(value / step) * step
