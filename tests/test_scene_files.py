@@ -185,6 +185,26 @@ def test_scaled_and_mirrored_cameras_see_what_mitsuba_shows(tmp_path, scale, sid
     assert names.tolist() == ["ball"]
 
 
+def test_a_room_of_single_walls_is_no_thing_whichever_way_they_face(tmp_path):
+    """Mitsuba merges walls of one material into one mesh, which looks like a solid from inside."""
+    walls = ""
+    for i, side in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
+        across = np.roll(side, 1)
+        up = np.cross(side, across)  # the triangles look outwards
+        corners = [
+            3 * (side + u * across + v * up) for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        lines = ["v " + " ".join(map(str, c)) for c in corners] + ["f 1 2 3", "f 1 3 4"]
+        written(tmp_path / f"{i}.obj", "\n".join(lines) + "\n")
+        walls += f'<shape type="obj"><string name="filename" value="{i}.obj"/><ref id="w"/></shape>'
+    paint = '<bsdf type="twosided" id="w"><bsdf type="diffuse"/></bsdf>'
+    path = written(tmp_path / "r.xml", f'<scene version="3.0.0">{paint}{walls}</scene>')
+    loaded = load(world(path, "camera=0+0+0,target=0+0+1"))
+    range_m, normal, _ = cast(loaded, AHEAD)
+    assert len(loaded.scene.shapes()) == 1 and range_m[0] == pytest.approx(3)
+    assert normal[0, 2] > 0.99, "it is a back that the camera sees"
+
+
 def test_shapes_without_material_take_the_albedo_too(tmp_path):
     ball = '<shape type="sphere"><point name="center" value="0,0,4"/></shape>'
     path = written(tmp_path / "bare.xml", f'<scene version="3.0.0">{ball}</scene>')

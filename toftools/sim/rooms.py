@@ -82,7 +82,8 @@ def room(
     if np.any(velocity) and not boxes:
         msg = f"got velocity={velocity} of the first box in a room with boxes=0"
         raise ValueError(msg)
-    rng, box_rng, ball_rng = np.random.default_rng(seed).spawn(3)
+    root = np.random.default_rng(seed)
+    rng, box_rng, ball_rng = root.spawn(3)
     width, height, depth = rng.uniform([3.5, 2.4, 3.5], [6.0, 3.0, 6.0])
     camera = np.array(
         [rng.uniform(-0.3, 0.3) * width, -rng.uniform(1.2, 1.7), rng.uniform(0.3, 0.6) - depth / 2]

@@ -16,7 +16,7 @@ import numpy as np
 
 from toftools._arrays import F64, Bool, expect_shape
 from toftools._native import import_mitsuba
-from toftools.sim._stage_checks import check_values, check_view
+from toftools.sim._stage_checks import bounds_hold, check_values, check_view
 from toftools.sim.mesh import read_mesh
 from toftools.sim.scene_xml import with_files
 from toftools.sim.world import World
@@ -82,6 +82,8 @@ def load(world: World, *, variant: str = "llvm_ad_mono", merge: bool = True) -> 
     mi = import_mitsuba(variant)
     with _one_sentence(mi):
         scene = _scene(mi, world, merge=merge)
+        if merge and not bounds_hold(scene):
+            scene = _scene(mi, world, merge=False)
     check_values(mi, scene)
     to_world = _pose(scene) if world.to_world is None else world.to_world
     try:
