@@ -154,8 +154,9 @@ def _averaged(
     info |= dict(zip(("samples", "before", "beyond"), counts.tolist(), strict=True))
     if method == "progressive":
         info["bandwidths_m"] = used
+    values /= len(used)
     return Transient(
-        (values.T / len(used)).reshape(n_bins, *shape).astype(np.float32),
+        values.astype(np.float32).T.reshape(n_bins, *shape),  # a view: bins stay side by side
         bin_m,
         np.asarray(start_m),
         missed=(missed.sum(axis=1) / len(used)).reshape(shape).astype(np.float32),
@@ -257,17 +258,26 @@ def transient(
     }  # fmt: skip
     _check_axis(**axis)
     paths = traced(scene, shot)
-    direct = histogram([paths.direct], **axis)
     first = next(paths.passes, None)
     if first is None:
-        return replace(direct, info={**direct.info, **paths.told})
-    rest = method(chain([first], paths.passes), **axis)
-    assert direct.missed is not None
+        made = histogram([paths.direct], **axis)
+    else:
+        made = _with_direct(method(chain([first], paths.passes), **axis), paths.direct)
+    return replace(made, info={**made.info, **paths.told})
+
+
+def _with_direct(rest: Transient, direct: Samples) -> Transient:
+    """A transient with further samples, each in its bin."""
     assert rest.missed is not None
-    both = {name: direct.info[name] + rest.info[name] for name in ("samples", "before", "beyond")}
-    return replace(
-        rest,
-        values=direct.values + rest.values,
-        missed=direct.missed + rest.missed,
-        info={**rest.info, **both, **paths.told},
-    )
+    bins = np.floor((direct.path_m - rest.start_m) / rest.bin_m)
+    before, beyond = bins < 0, bins >= rest.n_bins
+    inside = ~(before | beyond)
+    values, missed = np.array(rest.values), np.array(rest.missed)
+    rows, columns = np.divmod(direct.pixel, rest.shape[1])
+    place = (bins[inside].astype(np.int64), rows[inside], columns[inside])
+    np.add.at(values, place, direct.weight[inside].astype(np.float32))
+    outside = (rows[~inside], columns[~inside])
+    np.add.at(missed, outside, direct.weight[~inside].astype(np.float32))
+    counts = {"samples": bins.size, "before": before.sum(), "beyond": beyond.sum()}
+    info = {**rest.info, **{name: rest.info[name] + int(n) for name, n in counts.items()}}
+    return replace(rest, values=values, missed=missed, info=info)
