@@ -149,7 +149,8 @@ def test_a_wall_rendered_from_the_near_plane_reads_its_distance(near_clip, unit_
     this road: 2.00002 and 2.00007 m at near_clip 1e-4, 1.99507 and 2.00007 at 0.01, 1.95007 and
     2.00007 at 0.1 (the mean over a pixel's area lies 0.07 mm behind its centre); mean charge
     0.99989 of albedo cos / range^2. Its Cornell box, phasors of 300 / 1000 / 4096 bins of 30 m
-    against its own phasor film at 50 MHz: 5.4 / 0.52 / 0.056 mm rms of range.
+    against its own phasor film at 50 MHz: 5.4 / 0.52 / 0.056 mm rms of range. All by
+    benchmarks/adapt_mitransient.py.
     """
     short = -near_path_m(CAMERA, near_clip, CAMERA.shape)
     one = wall_samples(short)

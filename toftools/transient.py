@@ -221,8 +221,8 @@ def first_return_m(transient: Transient, *, least_share: float = 0.2, widest_m: 
     Returns
     -------
     ndarray, (H, W)
-        Range of the run's centroid, m, uncertain by a quarter of a bin; NaN where nothing stands
-        apart.
+        Range of the run's centroid, m, uncertain by a quarter of a bin and drawn back by light
+        that follows within the run; NaN where nothing stands apart.
 
     Examples
     --------

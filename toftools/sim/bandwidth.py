@@ -106,5 +106,6 @@ def rule_of_thumb_m(samples: Samples, shape: tuple[int, int]) -> float:
     mean = np.divide(sums, total, out=np.zeros(count), where=total > 0)
     square = float((weight * (samples.path_m - mean[samples.pixel]) ** 2).sum())
     sigma_m = float(np.sqrt(square / max(float(total.sum()), np.finfo(np.float64).tiny)))
-    per_pixel = max(1.0, samples.pixel.size / max(1, np.count_nonzero(total)))
-    return max(1e-3, 1.17 * sigma_m * per_pixel**-0.2)
+    lit = max(1, int(np.count_nonzero(total)))
+    per_pixel = max(1.0, samples.pixel.size / lit)
+    return max(1e-3, 1.17 * sigma_m * float(per_pixel**-0.2))
