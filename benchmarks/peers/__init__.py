@@ -1,0 +1,1 @@
+"""What `benchmarks/transport.py` runs: one file per engine, and the process around an engine."""
