@@ -80,7 +80,9 @@ def path(
         raise ValueError(msg)
     variant = "cuda_ad_mono" if gpu else "llvm_ad_mono"
     world = world_of(scene) if isinstance(scene, Scene) else scene
-    name = {"scene": scene.name, **scene.params} if isinstance(scene, Scene) else {}
+    name: dict[str, Any] = {}
+    if isinstance(scene, Scene):  # parameters apart: the seed of a room is not that of its noise
+        name = {"scene": scene.name, "scene_params": dict(scene.params)}
     mi = import_mitsuba(variant)
     still = load(world, variant=variant)  # broken scenes are refused here, not at the first shot
 
