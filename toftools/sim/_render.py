@@ -7,12 +7,13 @@ the tolerance go into the next round with up to four times the paths.
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from toftools.sim._phasors import C128, Light, direct_light
-from toftools.sim._reuse import shared_light
+from toftools.sim._phasors import C128, Light, direct_light, indirect_light
+from toftools.sim._reuse import shared_light, worth_sharing
 from toftools.sim._stop import range_errors_m
 from toftools.sim._task import Task, first_hits
 from toftools.types import F64
@@ -24,6 +25,10 @@ BLOCK = 4
 """Side of the blocks of pixels that share paths, `GROUP` in all."""
 PASSES = 4
 FIRST_PATHS = 4
+PILOT = 1024
+"""Pixels that tell whether paths are worth sharing."""
+AMBIENT_PATHS = 64
+"""Paths for the light of lamps, which is offset and shot noise only."""
 FAINT = 0.01
 """Pixels this much darker than the median do not count for a tile's error: they tell no range."""
 MAX_LANES = 1 << 20
@@ -110,7 +115,11 @@ def render(task: Task, order: Order) -> Image:
         views, lambda part, _: direct_light(task, first_hits(task, part), order.freqs_hz)
     )
     sums = _Sums(len(order.freqs_hz), height * width)
-    if order.bounces > 0 or task.lamps or task.holes:
+    if task.lamps and not task.stage.lamp_modulated.any():
+        # Ambient light moves no phase: a few paths of its own, none among those that count.
+        sums.ambient_only = _ambient(task, order, views)
+        task = task.without_lamps()
+    if order.bounces > 0 or task.chance_direct:
         _rounds(task, order, views, direct.direct, tiles, sums)
     known, count = sums.samples > 0, np.maximum(sums.samples, 1)
 
@@ -123,7 +132,7 @@ def render(task: Task, order: Order) -> Image:
         direct=image(direct.direct + sums.parts[0] / count),
         one_bounce=image(sums.parts[1] / count),
         rest=image(sums.parts[2] / count),
-        ambient=image(direct.ambient + sums.ambient / count),
+        ambient=image(direct.ambient + sums.ambient / count + sums.ambient_only),
         samples=image(sums.samples),
         error_m=image(np.where(known, sums.error_m, 0.0)),
     )
@@ -135,6 +144,7 @@ class _Sums:
     def __init__(self, freqs: int, pixels: int) -> None:
         self.parts = np.zeros((3, freqs, pixels), np.complex128)
         self.ambient = np.zeros(pixels)
+        self.ambient_only = np.zeros(pixels)  # a mean of its own, not a sum
         self.samples = np.zeros(pixels)
         self.scatter = np.zeros(pixels)  # sum of (paths * standard error)^2
         self.judged = np.zeros(pixels)  # paths whose scatter is in the sum
@@ -151,13 +161,14 @@ def _rounds(
 ) -> None:
     """Add rounds of passes until every tile is good enough, or has had the most paths."""
     inside = views.shape[1]
+    estimate = _estimator(task, order, views)
     wanted = PASSES * FIRST_PATHS if order.samples is None else order.samples
     active, number = np.ones(len(views), bool), 0
     while active.any():
         chosen = np.flatnonzero(active)
         passes = min(PASSES, max(1, wanted // inside))
         each = max(1, round(wanted / (passes * inside)))  # paths per point of a pixel
-        found = [_pass(task, order, views[chosen], each, number + i) for i in range(passes)]
+        found = [_pass(estimate, order, views[chosen], each, number + i) for i in range(passes)]
         number += passes
         _add(sums, chosen, found, each * inside)
         total = direct + sums.parts.sum(axis=0) / np.maximum(sums.samples, 1)
@@ -176,13 +187,27 @@ def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
     log.info("%d paths a pixel in %.0f %% of the image%s", paths, 100 * active.mean(), error)
 
 
-def _pass(task: Task, order: Order, views: F64, each: int, number: int) -> Light:
+def _estimator(task: Task, order: Order, views: F64) -> Callable[..., Light]:
+    """What estimates indirect light: paths shared among neighbours, or each for itself."""
+    some = first_hits(task, views[:: max(1, len(views) // PILOT), 0])
+    shares = order.bounces > 0 and worth_sharing(task, some, order.seed)
+    log.info("paths are %s", "shared among neighbouring pixels" if shares else "not shared")
+    return partial(shared_light if shares else indirect_light, task)
+
+
+def _pass(
+    estimate: Callable[..., Light],
+    order: Order,
+    views: F64,
+    each: int,
+    number: int,
+) -> Light:
     """One independent estimate of some pixels."""
+    task: Task = estimate.args[0]  # type: ignore[attr-defined]  # a partial
 
     def light(part: F64, place: int) -> Light:
         seed = (order.seed * 0x10001 + number) * 0x3D4D51CB + place  # another one for every part
-        return shared_light(
-            task,
+        return estimate(
             first_hits(task, part),
             order.freqs_hz,
             bounces=order.bounces,
@@ -191,6 +216,18 @@ def _pass(task: Task, order: Order, views: F64, each: int, number: int) -> Light
         )
 
     return _each(views, light)
+
+
+def _ambient(task: Task, order: Order, views: F64) -> F64:
+    """Light of unmodulated lamps by way of surfaces, from `AMBIENT_PATHS` paths a pixel."""
+    dark = task.without_flashes()
+    each = max(1, AMBIENT_PATHS // views.shape[1])
+
+    def light(part: F64, place: int) -> Light:
+        settings = {"bounces": order.bounces, "samples": each, "seed": order.seed ^ (place + 1)}
+        return indirect_light(dark, first_hits(dark, part), np.zeros(1), **settings)
+
+    return _each(views, light).ambient
 
 
 def _each(views: F64, light: Callable[[F64, int], Light]) -> Light:

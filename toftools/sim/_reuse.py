@@ -16,6 +16,8 @@ Workshop on Rendering, 2002 (the estimator; equation numbers there were not at h
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from toftools.sim._flash import flash_light
 from toftools.sim._phasors import (
     Light,
@@ -111,6 +113,28 @@ def shared_light(
     # Lamps that shine on the first surface itself are sampled there, with nobody's help.
     own = indirect_light(task, first, freqs_hz, bounces=0, samples=samples, seed=seed)
     return Light(own.direct, light.one_bounce, light.rest, light.ambient + own.ambient)
+
+
+def worth_sharing(task: Task, first: Jit, seed: int) -> bool:
+    """Whether most second points can serve neighbours; else sharing costs more than it brings.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    first : SurfaceInteraction3f
+        First surfaces of a sample of pixels.
+    seed : int
+        Of the directions tried.
+
+    Returns
+    -------
+    bool
+        True if at least half of them can.
+    """
+    found = _find(task, first, np.zeros(0), (0, 1, 1, seed))
+    valid = int(np.count_nonzero(found.valid.numpy()))
+    return 2 * int(np.count_nonzero(found.shared.numpy())) >= valid
 
 
 def _find(task: Task, first: Jit, freqs_hz: F64, what: tuple[int, int, int, int]) -> _Found:

@@ -42,20 +42,26 @@ class Depth:
     why: str
 
 
-def range_weights(freqs_hz: F64) -> F64:
-    """Weight of each frequency in the range that unwrapping gives: by the square of frequency.
+def range_weights(phasors: C128, freqs_hz: F64) -> F64:
+    """Weight of each frequency in the range that unwrapping gives.
 
     Parameters
     ----------
+    phasors : ndarray, (F, ...)
+        Phasors.
     freqs_hz : ndarray, (F,)
         Modulation frequencies, Hz.
 
     Returns
     -------
-    ndarray, (F,)
-        Weights that sum to 1.
+    ndarray, (F, ...)
+        Weights that sum to 1 over the frequencies: by the square of frequency and amplitude, which
+        is best under noise that is alike at all of them; 0 without light.
     """
-    return np.asarray(freqs_hz**2 / (freqs_hz**2).sum())
+    freqs = freqs_hz.reshape(-1, *(1,) * (phasors.ndim - 1))
+    weights = (freqs * np.abs(phasors)) ** 2
+    total = weights.sum(axis=0)
+    return np.asarray(np.divide(weights, total, out=np.zeros(weights.shape), where=total > 0))
 
 
 def needed_bounces(task: Task, directions: F64, freqs_hz: F64, tol_m: float, seed: int) -> Depth:
@@ -89,7 +95,7 @@ def needed_bounces(task: Task, directions: F64, freqs_hz: F64, tol_m: float, see
     seen = np.abs(direct.total + indirect.total).min(axis=0) > 0
     if not seen.any() or not energy[1:].any():
         return Depth(0, 0.0, "no light bounces: the direct light is all there is")
-    size = np.abs(direct.total + indirect.total)[:, seen]
+    total = (direct.total + indirect.total)[:, seen]
     mean = energy[:, seen].mean(axis=1)
     fall = _fall(mean)
     beyond = energy[-1, seen] * fall / (1 - fall)
@@ -98,7 +104,7 @@ def needed_bounces(task: Task, directions: F64, freqs_hz: F64, tol_m: float, see
             left = energy[bounces + 1 :, seen].sum(axis=0) + beyond
         else:
             left = mean[-1] * fall ** (bounces - PILOT_BOUNCES + 1) / (1 - fall)
-        moved_m = float(np.quantile(_moved_m(left, size, freqs_hz), SHARE))
+        moved_m = float(np.quantile(_moved_m(left, total, freqs_hz), SHARE))
         if moved_m <= tol_m:
             break
     return Depth(bounces, moved_m, _sentence(bounces, moved_m, tol_m))
@@ -139,18 +145,19 @@ def _fall(mean: F64) -> float:
     return float(np.clip((late / early) ** (1 / 4), 0, 0.999)) if early > 0 else 0.999
 
 
-def _moved_m(left: Any, size: F64, freqs_hz: F64) -> F64:  # noqa: ANN401
-    """Bound on the range error from phasors of modulus `left` missing beside those of `size`."""
-    angle = np.arcsin(np.minimum(1, left / size))  # (F, N)
-    return np.asarray(range_weights(freqs_hz) @ phase_to_range(angle, freqs_hz[:, None]))
+def _moved_m(left: Any, total: C128, freqs_hz: F64) -> F64:  # noqa: ANN401
+    """Bound on the range error from phasors of modulus `left` missing in `total`."""
+    angle = np.arcsin(np.minimum(1, left / np.abs(total)))  # (F, N)
+    moved = phase_to_range(angle, freqs_hz[:, None])
+    return np.asarray((range_weights(total, freqs_hz) * moved).sum(axis=0))
 
 
-def range_errors_m(parts: C128, total: C128, freqs_hz: F64) -> F64:
+def range_errors_m(errors: C128, total: C128, freqs_hz: F64) -> F64:
     """Range errors to first order from errors of phasors.
 
     Parameters
     ----------
-    parts : ndarray, (..., F, N)
+    errors : ndarray, (..., F, N)
         Errors of the phasors at the modulation frequencies.
     total : ndarray, (F, N)
         The phasors.
@@ -162,9 +169,9 @@ def range_errors_m(parts: C128, total: C128, freqs_hz: F64) -> F64:
     ndarray, (..., N)
         Error of the range that all frequencies together give, m; 0 without light.
     """
-    size2 = np.abs(total) ** 2
+    power = np.abs(total) ** 2
     angle = np.divide(
-        (parts * np.conj(total)).imag, size2, out=np.zeros(parts.shape), where=size2 > 0
+        (errors * np.conj(total)).imag, power, out=np.zeros(errors.shape), where=power > 0
     )
     moved = phase_to_range(angle, freqs_hz[:, None])
-    return np.asarray(np.einsum("f,...fn->...n", range_weights(freqs_hz), moved))
+    return np.asarray((range_weights(total, freqs_hz) * moved).sum(axis=-2))

@@ -1,6 +1,6 @@
 """What every pass of the tracer shares, and the first surface of every pixel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,14 @@ class Task:
     def chance_direct(self) -> bool:
         """Whether some direct light can only be met by chance."""
         return self.lamps or self.holes
+
+    def without_lamps(self) -> "Task":
+        """The same under the camera's own sources alone."""
+        return replace(self, stage=replace(self.stage, lamp_gain=0.0))
+
+    def without_flashes(self) -> "Task":
+        """The same under the scene's lamps alone."""
+        return replace(self, flashes=())
 
     @property
     def holes(self) -> bool:
