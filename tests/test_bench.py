@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from toftools.bench.run import Settings, is_finished, only_run, read_result, run
 from toftools.bench.score import read_rows, reference_of, score, uncorrected
 from toftools.bench.suite import built_in, load_suite, points
 from toftools.bench.table import groups, label_of, summarise, unsuited
-from toftools.io.native import write_capture
+from toftools.io.native import read_capture, write_capture
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
 from toftools.types import Capture, DepthMap, Scene, Shot
@@ -308,6 +309,56 @@ def test_report_is_one_file_without_network(finished):
     assert "<script src" not in body
 
 
+def test_scenes_of_a_suite_say_what_makes_them(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        'methods = ["crt"]\ntol_mm = 30\nsensor = ["deeptof:width=8,height=6", "pmd"]\n'
+        'scenes = ["corner", { scene = "corner", engine = "analytic", sensor = "pmd", '
+        'group = "exact", tol_mm = 1 }]\n'
+    )
+    suite = load_suite(str(tmp_path / "s.toml"))
+    found = [(s.sensor, s.group, s.engine, s.tol_mm) for s in suite.sources]
+    assert found == [
+        ("deeptof:width=8,height=6", "scenes, deeptof", "auto", 30.0),
+        ("pmd", "scenes, pmd", "auto", 30.0),
+        ("pmd", "exact", "analytic", 1.0),
+    ]
+
+
+def test_a_path_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, monkeypatch):
+    (tmp_path / "s.toml").write_text(
+        'methods = ["single"]\nsensor = "deeptof:width=16,height=12"\ntol_mm = 40\n'
+        'scenes = ["vshape", "corner", { scene = "corner", engine = "analytic" }]\n'
+    )
+    suite = load_suite(str(tmp_path / "s.toml"))
+    make_plan(suite, tmp_path / "out")
+    captures = sorted((tmp_path / "out" / "captures").glob("*.h5"))
+    made = [read_capture(path) for path in captures]
+    assert sorted(c.provenance["engine"] for c in made) == ["analytic", "path", "path"]
+    for capture in made:
+        if capture.provenance["engine"] == "path":
+            assert capture.provenance["standard_error_mm"] <= 40
+            assert np.abs(capture.truth.one_bounce).max() > 0
+    written = [path.stat().st_mtime_ns for path in captures]
+    monkeypatch.setattr("toftools.bench.plan.find", None)  # nothing may be made again
+    make_plan(suite, tmp_path / "out")
+    assert [path.stat().st_mtime_ns for path in captures] == written
+
+
+def test_the_main_job_takes_the_first_set_where_no_real_data_is_at_hand(tmp_path, monkeypatch):
+    suite = replace(load_suite("full"), methods=("single",))
+    suite = replace(suite, sources=tuple(s for s in suite.sources if s.sensor is None))
+    monkeypatch.delenv("TOFTOOLS_DATA", raising=False)
+    make_plan(suite, tmp_path / "without")
+    items = read_plan(tmp_path / "without")[0]["captures"]
+    assert len(items) >= 5
+    assert {item["group"] for item in items} == {"first set"}
+    assert all(item["truth"] and item["n_freqs"] == 2 for item in items)
+    monkeypatch.setenv("TOFTOOLS_DATA", str(tmp_path))
+    first = replace(suite, sources=tuple(s for s in suite.sources if s.group == "first set"))
+    with pytest.raises(ValueError, match="found no capture"):
+        make_plan(first, tmp_path / "with")
+
+
 def test_built_in_suites_load_and_name_known_methods():
     assert {"quick", "core", "full", "real"} <= set(built_in())
     for name in built_in():
@@ -333,6 +384,15 @@ def test_built_in_suites_load_and_name_known_methods():
             "min_range_m < max_range_m",
         ),
         ('captures = [{format = "npz"}]\nmethods = ["crt"]', "tables with a path"),
+        ('scenes = [{sensor = "pmd"}]\nmethods = ["crt"]', "tables with a scene"),
+        ('scenes = [{scene = "wall", tol = 1}]\nmethods = ["crt"]', "unknown key 'tol'"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\nengine = "magic"', "unknown name 'magic'"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\ntol_mm = 0', "tol_mm in bad.toml must be a posit"),
+        ('scenes = ["wall"]\nmethods = ["crt"]\ntol_mm = "2"', "tol_mm in bad.toml must be a numb"),
+        (
+            'scenes = ["cornell"]\nmethods = ["crt"]\nengine = "analytic"',
+            "no closed form for scene",
+        ),
         ('scenes = ["wall"]\nmethods = ["crt:max_rnage_m=5"]', "no parameter 'max_rnage_m'"),
         ('scenes = ["wall"]\nmethods = ["no_such_module:make"]', "cannot load method"),
         ('captures = ["*.nothing"]\nmethods = ["crt"]', "no file matches"),

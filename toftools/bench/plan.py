@@ -7,6 +7,7 @@ what the first one made.
 import json
 import logging
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -21,8 +22,9 @@ from toftools.bench.suite import Source, Suite, expand, points, spec_of
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture, write_capture
 from toftools.io.open import open_capture
-from toftools.registry import SIMULATORS, parameters_of, parse_entry
+from toftools.registry import SIMULATORS, find, parameters_of, parse_entry
 from toftools.sensors import sensor
+from toftools.sim.choice import choose
 from toftools.types import Capture, Scene, Shot
 
 log = logging.getLogger(__name__)
@@ -209,8 +211,12 @@ def check_method(suite: Suite, text: str) -> None:
 def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:
     if source.sensor is not None:
         name = _slug(source.text)
-        mark = digest([source.text, source.sensor, package_digest()])[:8]
+        wish = [source.text, source.sensor, source.engine, source.tol_mm]
+        mark = digest([*wish, package_digest()])[:8]
         yield _store(source, name, out / "captures" / f"{name}-{mark}.h5", lambda: _shot(source))
+        return
+    if source.unless in os.environ:
+        log.info("left out %s: %s is set", source.text, source.unless)
         return
     files = expand(source, suite.folder)
     if files is None:
@@ -232,9 +238,12 @@ def _same(capture: Capture) -> Capture:
 
 
 def _shot(source: Source) -> Capture:
-    scene, params = parse_entry(source.text)
-    run = SIMULATORS["analytic"].build(Scene(scene, params))
-    capture: Capture = run(Shot(sensor(str(source.sensor)), seed=0))
+    scene = Scene(*parse_entry(source.text))
+    shot = Shot(sensor(str(source.sensor)), seed=0, tol_m=1e-3 * source.tol_mm)
+    engine = choose(scene, shot.sensor)[0] if source.engine == "auto" else source.engine
+    capture: Capture = find(SIMULATORS, engine).build(scene)(shot)
+    if capture.provenance.get("tolerance_met") is False:
+        log.warning("%s has a standard error of range above %g mm", source.text, source.tol_mm)
     return capture
 
 

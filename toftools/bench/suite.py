@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from toftools.bench.references import REFERENCES
-from toftools.registry import CORRECTIONS, Spec, find, parse_name
+from toftools.registry import CORRECTIONS, SIMULATORS, Spec, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
-_KEYS = ("name", "captures", "scenes", "sensor", "methods", "grid", "repeats", "mask")
+_KEYS = ("name", "captures", "scenes", "sensor", "engine", "tol_mm", "methods", "grid", "repeats",
+         "mask")  # fmt: skip
+_SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,21 @@ class Source:
         Foreign format to force for a file.
     sensor : str or None
         Sensor of a scene; None for a file.
+    engine : str
+        What makes the capture of a scene: ``auto`` or a simulator.
+    tol_mm : float
+        Standard error of range that it may leave, mm.
+    unless : str
+        Environment variable that, if set, makes a file superfluous; empty for none.
     """
 
     text: str
     group: str
     format: str | None = None
     sensor: str | None = None
+    engine: str = "auto"
+    tol_mm: float = 1.0
+    unless: str = ""
 
 
 @dataclass(frozen=True)
@@ -187,18 +198,40 @@ def _files(entries: list[Any], where: str) -> Iterator[Source]:
         if not isinstance(item, Mapping) or "path" not in item:
             msg = f"captures in {where} must be paths or tables with a path, got {entry!r}"
             raise ValueError(msg)
-        _check_keys(item, ("path", "format", "group"), f"captures of {where}")
+        _check_keys(item, ("path", "format", "group", "unless"), f"captures of {where}")
         pattern = str(item["path"])
         group = str(item.get("group", Path(pattern).parent.name or "captures"))
-        yield Source(pattern, group, item.get("format"))
+        yield Source(pattern, group, item.get("format"), unless=str(item.get("unless", "")))
 
 
 def _scenes(table: Mapping[str, Any], where: str) -> Iterator[Source]:
-    named = table.get("sensor", "deeptof")
-    sensors = [named] if isinstance(named, str) else _list(table, "sensor", where)
-    for sensor in sensors:
-        for scene in _list(table, "scenes", where):
-            yield Source(str(scene), f"scenes, {parse_name(sensor)[0]}", None, str(sensor))
+    usual = {"sensor": "deeptof", "engine": "auto", "tol_mm": 1.0}
+    usual |= {key: table[key] for key in usual if key in table}
+    entries = [_scene(entry, usual, where) for entry in _list(table, "scenes", where)]
+    ordered = dict.fromkeys(sensor for entry in entries for sensor in entry["sensor"])
+    for sensor in ordered:
+        for entry in (e for e in entries if sensor in e["sensor"]):
+            engine, tol_mm = str(entry["engine"]), _number(entry, "tol_mm", 1.0, where)
+            if engine != "auto":
+                find(SIMULATORS, engine)
+            if not 0 < tol_mm < float("inf"):
+                msg = f"tol_mm in {where} must be a positive number, got {tol_mm:g}"
+                raise ValueError(msg)
+            group = str(entry.get("group", f"scenes, {parse_name(sensor)[0]}"))
+            yield Source(entry["scene"], group, None, sensor, engine, tol_mm)
+
+
+def _scene(entry: Any, usual: Mapping[str, Any], where: str) -> dict[str, Any]:  # noqa: ANN401
+    """One entry of scenes with all its keys; its sensors as a list."""
+    item = {"scene": entry} if isinstance(entry, str) else entry
+    if not isinstance(item, Mapping) or "scene" not in item:
+        msg = f"scenes in {where} must be names or tables with a scene, got {entry!r}"
+        raise ValueError(msg)
+    _check_keys(item, _SCENE_KEYS, f"scenes of {where}")
+    full = {**usual, **item}
+    named = full["sensor"]
+    sensors = [named] if isinstance(named, str) else _list(full, "sensor", where)
+    return {**full, "scene": str(full["scene"]), "sensor": [str(s) for s in sensors]}
 
 
 def expand(source: Source, folder: Path) -> list[Path] | None:

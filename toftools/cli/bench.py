@@ -108,6 +108,7 @@ def _run(
     from toftools.bench.run import Settings, only_run, run_points
     from toftools.bench.suite import load_suite
     from toftools.bench.table import label_of
+    from toftools.cli._progress import progress as shown
 
     loaded = load_suite(suite)
     settings = Settings(loaded.repeats, threads, timeout_s)
@@ -115,7 +116,9 @@ def _run(
     make_folders(out)
     with only_run(out):
         click.echo(f"suite {loaded.name}: reading captures", err=True)
-        plan = make_plan(loaded, out, methods)
+        verbose = bool(click.get_current_context().find_root().params.get("verbose"))
+        with shown(verbose=verbose):  # scenes may have to be rendered
+            plan = make_plan(loaded, out, methods)
         with click.progressbar(
             length=len(plan), label="points", file=sys.stderr, width=24,
             item_show_func=str,
