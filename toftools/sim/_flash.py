@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._holes import blocked
 from toftools.sim.stage import Stage
 from toftools.types import Sensor
 from toftools.units import phase_to_range
@@ -99,6 +100,7 @@ def flash_light(
     active: Jit,
     *,
     lit: bool = False,
+    ior: Jit = 1.0,
 ) -> tuple[Jit, Jit]:
     """Light that one source sends to the viewer by way of surface points.
 
@@ -116,13 +118,15 @@ def flash_light(
         Which of them count.
     lit : bool
         Whether the source is known to see the points, which saves its shadow rays.
+    ior : Float
+        Refractive index on the viewer's side of the points; beyond them is air.
 
     Returns
     -------
     Float
         Radiance towards the viewer, 0 where the point lies in shadow.
     Float
-        Path from the source, its delay included, m.
+        Optical path from the source, its delay included, m.
     """
     import drjit as dr
 
@@ -130,7 +134,8 @@ def flash_light(
     away = place - si.p
     far = dr.norm(away)
     to = away / far
-    value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(to), active)[0]
+    local = si.to_local(to)
+    value = si.bsdf().eval(mi.BSDFContext(), si, local, active)[0]
     dist_m = far * stage.unit_m
     value *= dr.pi * flash.strength / dr.square(dist_m)
     if flash.beam is not None:
@@ -138,8 +143,9 @@ def flash_light(
         value *= _beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
     seen = active & (value > 0)
     if not lit:
-        seen &= ~stage.scene.ray_test(si.spawn_ray_to(place), seen)
-    return dr.select(seen, value, 0.0), dist_m + flash.delay_m
+        seen &= ~blocked(mi, stage.scene, si, place, seen)
+    optical_m = dr.select(si.wi.z * local.z < 0, 1.0, ior) * dist_m
+    return dr.select(seen, value, 0.0), optical_m + flash.delay_m
 
 
 def _beam_at(mi: Any, beam: Jit, angle: Jit, active: Jit) -> Jit:  # noqa: ANN401

@@ -29,7 +29,7 @@ class LampLight:
     modulated, ambient : Float
         Radiance with and without modulation, in units of `Noise.signal_e`.
     far_m : Float
-        Way from the lamp to the surface, the lamp's delay included, m.
+        Optical way from the lamp to the surface, the lamp's delay included, m.
     """
 
     modulated: Jit
@@ -43,6 +43,7 @@ def lamps_at(
     si: Jit,
     point: Jit,
     choice: Jit,
+    ior: Jit,
     active: Jit,
 ) -> LampLight:
     """Light of a lamp sampled on purpose, by way of surface points.
@@ -59,6 +60,8 @@ def lamps_at(
         Random numbers for the place on the lamp.
     choice : Float
         Random number that chooses the lamp.
+    ior : Float
+        Refractive index on the viewer's side of the points; beyond them is air.
     active : Bool
         Which points count.
 
@@ -79,7 +82,8 @@ def lamps_at(
     value, pdf = si.bsdf().eval_pdf(mi.BSDFContext(), si, wo, active)
     share = dr.select(sample.delta, 1.0, sample.pdf / (sample.pdf + pdf))
     radiance = dr.select(active, value[0] * weight[0] * share, 0.0)
-    return _split(mi, stage, radiance, sample.emitter, sample.dist)
+    index = dr.select(si.wi.z * wo.z < 0, 1.0, ior)
+    return _split(mi, stage, radiance, sample.emitter, index * sample.dist)
 
 
 def lamps_hit(
@@ -88,6 +92,7 @@ def lamps_hit(
     si: Jit,
     nearby: Jit,
     sample: Jit,
+    ior: Jit,
     active: Jit,
 ) -> LampLight:
     """Light of a lamp that a path met by chance.
@@ -102,6 +107,8 @@ def lamps_hit(
         Where the ray left, and what it met (perhaps nothing: then the sky).
     sample : BSDFSample3f
         How its direction was chosen.
+    ior : Float
+        Refractive index along the ray.
     active : Bool
         Which rays count.
 
@@ -120,7 +127,7 @@ def lamps_hit(
     chance |= mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
     rival = stage.scene.pdf_emitter_direction(si, towards, met & ~chance)
     share = dr.select(chance, 1.0, sample.pdf / (sample.pdf + rival))
-    return _split(mi, stage, dr.select(met, radiance * share, 0.0), lamp, nearby.t)
+    return _split(mi, stage, dr.select(met, radiance * share, 0.0), lamp, ior * nearby.t)
 
 
 def lamps_seen(mi: Any, stage: Stage, si: Jit, active: Jit) -> LampLight:  # noqa: ANN401

@@ -158,9 +158,10 @@ def _find(task: Task, first: Jit, freqs_hz: F64, what: tuple[int, int, int, int]
     deposit, limit = depositor(task, freqs_hz), dr.opaque(mi.UInt32, bounces)
     sums, ambient = empty_sums(task, pixels * count, freqs_hz), dr.zeros(mi.Float, pixels * count)
     for flash in task.flashes:
-        value, far_m = flash_light(mi, task.stage, flash, second, valid & (bounce <= limit))
+        lit = valid & (bounce <= limit)
+        value, far_m = flash_light(mi, task.stage, flash, second, lit, ior=sample.eta)
         if flash.modulated:
-            sums = deposit(sums, lane, number, bounce, WALKS * value, sample.eta * far_m)
+            sums = deposit(sums, lane, number, bounce, WALKS * value, far_m)
         else:
             ambient = ambient + WALKS * value
     path = Path(second, dr.select(valid, 1.0, 0.0), mi.Float(0), sample.eta, bounce)

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._flash import Flash
+from toftools.sim._holes import MAX_PASSED, has_holes, is_hole
 from toftools.sim.stage import Stage
 from toftools.types import F64
 
 Jit = Any
 """A Dr.Jit array or structure; the package has no types."""
 
-MAX_PASSED = 16
-"""Surfaces with a hole that a ray may pass in a row."""
 LEAST_COSINE = 0.03
 """Rays that graze a surface more than this start closer to it."""
 
@@ -57,8 +56,7 @@ class Task:
     @property
     def holes(self) -> bool:
         """Whether some surface has holes, so that even direct light is met by chance."""
-        flags = (s.bsdf().flags() for s in self.stage.scene.shapes() if s.bsdf() is not None)
-        return any(self.mi.has_flag(flag, self.mi.BSDFFlags.Null) for flag in flags)
+        return has_holes(self.mi, self.stage.scene)
 
 
 def next_hit(task: Task, si: Jit, away: Jit, active: Jit) -> Jit:
@@ -123,7 +121,7 @@ def first_hits(task: Task, directions: F64) -> Jit:
         dr.eval(si)
         return si
     for _ in range(MAX_PASSED):
-        hole = si.is_valid() & (si.bsdf().eval_null_transmission(si, seen)[0] > 0.5)
+        hole = is_hole(si, seen)
         if not dr.any(hole):
             break
         passed = passed + dr.select(hole, si.t, 0.0)

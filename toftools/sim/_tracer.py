@@ -18,9 +18,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from toftools.sim._flash import flash_light
+from toftools.sim._holes import MAX_PASSED
 from toftools.sim._lamps import lamps_at, lamps_hit
 from toftools.sim._sobol import hashed, pair, single
-from toftools.sim._task import MAX_PASSED, Jit, Task, next_hit
+from toftools.sim._task import Jit, Task, next_hit
 
 Deposit = Callable[[Jit, Jit, Jit, Jit, Jit, Jit], Jit]
 """(sums, lane, path number, bounce, radiance, path in m) -> sums with one contribution more."""
@@ -220,8 +221,8 @@ def _bounce(
 
     mi, stage, (sums, ambient), si = task.mi, task.stage, total, path.si
     if task.lamps:
-        light = lamps_at(mi, stage, si, *draw.lamp(), active)
-        length_m = path.length_m + path.ior * light.far_m
+        light = lamps_at(mi, stage, si, *draw.lamp(), path.ior, active)
+        length_m = path.length_m + light.far_m
         sums = deposit(sums, *who, path.bounce, path.throughput * light.modulated, length_m)
         ambient = ambient + path.throughput * light.ambient
     sample, weight = si.bsdf().sample(mi.BSDFContext(), si, draw.lobe(), draw.direction(), active)
@@ -231,8 +232,8 @@ def _bounce(
     nearby = next_hit(task, si, si.to_world(sample.wo), active)
     hit = active & nearby.is_valid()
     if task.lamps:
-        light = lamps_hit(mi, stage, si, nearby, sample, active)
-        length_m = path.length_m + ior * light.far_m
+        light = lamps_hit(mi, stage, si, nearby, sample, ior, active)
+        length_m = path.length_m + light.far_m
         sums = deposit(sums, *who, path.bounce, throughput * light.modulated, length_m)
         ambient = ambient + throughput * light.ambient
     passed = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
@@ -244,10 +245,10 @@ def _bounce(
         path.bounce + dr.select(passed, mi.UInt32(0), mi.UInt32(1)),
     )
     for flash in task.flashes:
-        value, far_m = flash_light(mi, stage, flash, nearby, hit & (new.bounce <= limit))
+        lit = hit & (new.bounce <= limit)
+        value, far_m = flash_light(mi, stage, flash, nearby, lit, ior=ior)
         if flash.modulated:
-            length_m = new.length_m + ior * far_m
-            sums = deposit(sums, *who, new.bounce, throughput * value, length_m)
+            sums = deposit(sums, *who, new.bounce, throughput * value, new.length_m + far_m)
         else:
             ambient = ambient + throughput * value
     return new, hit, (sums, ambient)
