@@ -140,16 +140,17 @@ class Emitter:
             beam = frozen(self.beam, np.float64, "beam", 2)
             expect_shape("beam", beam, (beam.shape[0], 2))
             rising = beam[0, 0] == 0 and (np.diff(beam[:, 0]) > 0).all() and beam[-1, 0] <= 180
-            if not (rising and np.isfinite(beam).all() and (beam[:, 1] >= 0).all()):
+            shines = (beam[:, 1] >= 0).all() and (beam[:, 1] > 0).any()
+            if not (rising and np.isfinite(beam).all() and shines):
                 msg = "beam must hold angles rising from 0 to at most 180 degrees and intensities"
-                raise ValueError(f"{msg} of 0 or more, got {beam.tolist()}")
+                raise ValueError(f"{msg} of 0 or more, not all 0, got {beam.tolist()}")
             set_fields(self, beam=beam)
 
 
 def _metres(value: tuple[float, float, float], name: str) -> tuple[float, float, float]:
     offset = tuple(float(x) for x in value)
     if len(offset) != 3 or not np.isfinite(offset).all():
-        msg = f"{name} must be three finite metres, got {value}"
+        msg = f"{name} must be three finite metres, got {list(offset)}"
         raise ValueError(msg)
     return offset
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from toftools.types import Capture
+from toftools.types import Capture, Truth
 
 LABEL = 14
 
@@ -52,6 +52,9 @@ def _paths(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "samples" not in facts:
         return
     most, mean, error = facts["samples"], facts["samples_mean"], facts["standard_error_mm"]
+    if not most:
+        yield "paths", "none, as direct light is computed without"
+        return
     known = "" if error is None else f"; standard error of range up to {_mm(error)} in a tile"
     yield "paths", f"up to {most} a pixel, {mean:.0f} on average{known}"
     if facts["tolerance_met"]:
@@ -99,9 +102,16 @@ def _pixels(capture: Capture) -> str:
     parts = []
     if capture.truth is not None:
         parts.append(f"{np.isfinite(capture.truth.range_m).mean():.1%} see a surface")
+        if capture.truth.direct is not None and not _total(capture.truth).any():
+            parts.append("NONE gets modulated light: look at emitters and beam")
     if capture.taps is not None and not capture.taps.valid.all():
         parts.append(f"{(~capture.taps.valid).mean():.1%} are saturated")
     return ", ".join(parts)
+
+
+def _total(truth: Truth) -> Any:  # noqa: ANN401 - an array
+    parts = (truth.direct, truth.one_bounce, truth.rest)
+    return sum(part for part in parts if part is not None)
 
 
 def _cost(wall_s: float, peak_mb: float) -> str:

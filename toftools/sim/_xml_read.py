@@ -177,7 +177,7 @@ def inside(name: str, folder: Path) -> Path:
         raise ValueError(msg)
     path = folder / name
     if not path.is_file():
-        raise ValueError(f"the scene names the file {name!r}, which is not in {folder}")
+        raise ValueError(f"the scene names the file {name!r}, which is not in {folder.absolute()}")
     return path
 
 

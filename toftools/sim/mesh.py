@@ -5,7 +5,10 @@ materials of the files are not read: they say nothing about the near infrared. F
 that the truth is that of the triangles.
 """
 
+import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +138,8 @@ def read_mesh(path: Path) -> tuple[F64, F64]:
             f"{path.name} has {size} bytes, too few or too many for the mesh it claims"
         )
     open3d = import_open3d()
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+    level = open3d.utility.VerbosityLevel.Error
+    with open3d.utility.VerbosityContextManager(level), _hushed():
         mesh = open3d.io.read_triangle_mesh(str(path))
     vertices, faces = np.array(mesh.vertices), np.array(mesh.triangles)
     if not len(faces):
@@ -145,6 +149,19 @@ def read_mesh(path: Path) -> tuple[F64, F64]:
     if not np.ptp(vertices, axis=0).max() > 0:
         raise ValueError(f"all vertices of {path.name} lie in one point")
     return vertices, faces
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Keep the libraries inside Open3D from writing to the error stream past us."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _claims(path: Path) -> int:
