@@ -185,13 +185,19 @@ def _find(task: Task, first: Jit, freqs_hz: F64, what: tuple[int, int, int, int]
 
 
 def _diffuse(mi: Any, si: Jit) -> Jit:  # noqa: ANN401 - the module mitsuba
-    """Whether surfaces scatter alike in all directions of one side."""
-    flags, kinds = si.bsdf().flags(), mi.BSDFFlags
-    others = (kinds.Glossy, kinds.Delta, kinds.DiffuseTransmission)
-    directed = mi.Bool(False)
-    for kind in others:
-        directed |= mi.has_flag(flags, kind)
-    return si.is_valid() & ~directed
+    """Whether surfaces scatter alike in all directions of the side that is looked at."""
+    import drjit as dr
+
+    bsdf, valid = si.bsdf(), si.is_valid()
+    kinds = mi.BSDFFlags
+    for kind in (kinds.Glossy, kinds.Delta, kinds.DiffuseTransmission):
+        valid &= ~mi.has_flag(bsdf.flags(), kind)
+    # Flags tell nothing of bent normals and black backs: try one direction.
+    trial = mi.Vector3f(0.48, 0.36, dr.copysign(mi.Float(0.8), si.wi.z))
+    value, density = bsdf.eval_pdf(mi.BSDFContext(), si, trial, valid)
+    albedo = bsdf.eval_diffuse_reflectance(si, valid)[0]
+    off = dr.maximum(dr.abs(dr.pi * density - 0.8), dr.abs(dr.pi * value[0] - 0.8 * albedo))
+    return valid & (off < 1e-5)
 
 
 def _facing(normal: Jit, towards: Jit) -> Jit:
