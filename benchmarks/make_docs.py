@@ -17,6 +17,7 @@ from toftools.bench.table import groups, summarise, unsuited
 from toftools.registry import CORRECTIONS, METRICS, READERS, SIMULATORS, parameters_of
 from toftools.sensors import PRESETS, SOURCES
 from toftools.sim.analytic import SCENES
+from toftools.sim.scenes import FILES, WORLDS
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "full.jsonl"
@@ -41,7 +42,7 @@ def module_of(spec):
 def method_sections(table):
     for name, spec in table.items():
         make = spec.load()
-        header = inspect.getdoc(module_of(spec))
+        header = re.sub(r"References\n-+\n", "References: ", inspect.getdoc(module_of(spec)))
         grid = ", ".join(f"`{key}` {list(values)}" for key, values in spec.grid.items())
         yield f"### `{name}`\n\n{header}\n\n- Parameters: {dials(make)}"
         if grid:
@@ -67,6 +68,12 @@ def methods_md():
         "### Closed-form scenes\n",
         "\n".join(rows([(f"`{n}`", dials(f), first_sentence(f)) for n, f in SCENES.items()],
                        ("scene", "parameters", "what"))),
+        "### Scenes of the path engine\n",
+        "\n".join(rows([(f"`{n}`", dials(f), first_sentence(f)) for n, f in WORLDS.items()],
+                       ("scene", "parameters", "what"))),
+        "\n".join(rows([(" ".join(f"`{s}`" for s, f in FILES.items() if f is load), dials(load),
+                         first_sentence(load)) for load in dict.fromkeys(FILES.values())],
+                       ("file", "parameters", "what"))),
         "## Sensors\n",
         "\n".join(rows([(f"`{n}`", SOURCES[n]) for n in PRESETS], ("preset", "source"))),
         "Read noise 20 e-, full well 150 000 e-, contrast 0.8 and signal 20 000 e- at 1 m are "
@@ -171,6 +178,7 @@ def pictures():
     from toftools.types import Scene, Shot
     from toftools.viz.cloud import cloud_png
     from toftools.viz.figures import maps_png
+    from toftools.viz.preview import preview_png
 
     folder = ROOT / "docs" / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -186,6 +194,9 @@ def pictures():
     shown = np.where(np.isfinite(capture.truth.range_m), depth.range_m, np.nan)
     cloud = cloud_png(points(device.camera, shown), shown, size=(900, 560))
     (folder / "cloud.png").write_bytes(cloud)
+    scene, wide = Scene("room", {"seed": 8}), sensor("kinect2:width=128,height=106,beam_deg=100")
+    room = SIMULATORS["path"].build(scene)(Shot(wide, tol_m=5e-3))
+    (folder / "room.png").write_bytes(preview_png(room, title="room:seed=8 seen by a kinect2"))
     name, mine = next(iter(results_by_group().items()))
     _pareto(summarise(mine), name, folder / "pareto.svg")
 

@@ -490,6 +490,7 @@ def test_the_documented_suite_is_a_suite(tmp_path):
     text = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
     (tmp_path / "mine.toml").write_text(text)
     suite = load_suite(str(tmp_path / "mine.toml"))
-    assert len(suite.sources) == 4
+    assert len(suite.sources) == 5
+    assert suite.sources[-1].group == "rooms"
     assert suite.grid["crt"]["max_range_m"] == (5.0, 10.0, 0.0)
     assert suite.max_range_m == 9.9

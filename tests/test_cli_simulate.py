@@ -258,7 +258,7 @@ def test_a_missed_tolerance_is_said_aloud_with_what_helps(capsys, tmp_path):
     assert "0.01 mm NOT MET" in out
     assert "--engine path:max_samples=256" in out
     facts = {"tolerance_mm": 1.0, "standard_error_mm": 3.14, "samples": 64}
-    assert "--tol-mm 4)" in missed(facts)
+    assert "--tol-mm 3.2)" in missed(facts)
     assert "in 25.0% of the pixels" in missed({**facts, "within_tolerance": 0.75})
 
 

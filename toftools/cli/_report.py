@@ -105,7 +105,7 @@ def _pixels(capture: Capture) -> str:
         if capture.truth.direct is not None and not _total(capture.truth).any():
             parts.append("NONE gets modulated light: look at emitters and beam")
     if capture.taps is not None and not capture.taps.valid.all():
-        parts.append(f"{(~capture.taps.valid).mean():.1%} are saturated")
+        parts.append(f"{(~capture.taps.valid).sum()} are saturated")
     return ", ".join(parts)
 
 
@@ -120,12 +120,12 @@ def _cost(wall_s: float, peak_mb: float) -> str:
 
 
 def _mm(value: float) -> str:
-    return f"{value:.2g} mm"
+    return f"{value:.3g} mm"
 
 
 def _up(value: float) -> float:
-    """The next round number of millimetres."""
+    """The next number of two digits."""
     from math import ceil, floor, log10
 
-    step = 10.0 ** floor(log10(value))
+    step = 10.0 ** (floor(log10(value)) - 1)
     return ceil(value / step) * step

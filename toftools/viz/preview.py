@@ -70,13 +70,15 @@ def preview_png(capture: Capture, *, title: str = "") -> bytes:
         bar = figure.add_axes((beside, bottom, BAR_PX / WIDTH_PX, tall))
         _draw(figure, axes, bar, shown)
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    FigureCanvasAgg(figure).print_png(
+        buffer, metadata={"Software": None}, pil_kwargs={"optimize": True}
+    )
     return buffer.getvalue()
 
 
 def _maps(capture: Capture) -> list[_Map]:
     depth, method = depth_of(capture)
-    measured = np.where(phasors_of(capture).valid, depth.range_m, np.nan)
+    measured = np.asarray(depth.range_m, np.float64)
     truth = capture.truth
     true_m = None if truth is None else np.asarray(truth.range_m, np.float64)
     ends = _ends(measured if true_m is None else true_m)
@@ -130,7 +132,7 @@ def _sigma(sigma_m: F64) -> _Map:
 def _indirect(capture: Capture) -> F64 | None:
     """Share of the light that came indirectly, percent of the moduli at the first frequency."""
     truth = capture.truth
-    if truth is None or truth.direct is None:
+    if truth is None or truth.direct is None or (capture.taps is None and capture.phasors is None):
         return None
     direct = np.abs(truth.direct[0]).astype(np.float64)
     if truth.one_bounce is not None and truth.rest is not None:
@@ -163,7 +165,11 @@ def _draw(figure: Any, axes: Any, bar: Any, shown: _Map) -> None:  # noqa: ANN40
 
     norm = (LogNorm if shown.logarithmic else Normalize)(shown.low, shown.high)
     axes.add_patch(no_answer((0, 0, 1, 1), axes.transAxes))
-    image = axes.imshow(np.ma.masked_invalid(shown.image), cmap=shown.cmap, norm=norm)
+    # Pixels stay pixels where there is room for them.
+    kind = "nearest" if shown.image.shape[1] <= MAP_PX else "auto"
+    image = axes.imshow(
+        np.ma.masked_invalid(shown.image), cmap=shown.cmap, norm=norm, interpolation=kind
+    )
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set(color="#999", linewidth=0.6)
