@@ -191,17 +191,19 @@ def walk(
     mi = task.mi
     limit, paths = (dr.opaque(mi.UInt32, count) for count in counts)
     last = draw.number + paths
+    # Lamps shine on the last surface as well, and holes in it lead on without a bounce.
+    more = int(task.chance_direct)
 
     def body(active: Jit, number: Jit, step: Jit, path: Path, total: Jit) -> tuple[Jit, ...]:
         now = Draw(mi, number, draw.key, step)
         path, alive, total = _bounce(task, (lane, number), active, path, now, limit, total, deposit)
-        alive &= path.bounce < limit + int(task.lamps)  # lamps shine on the last surface as well
+        alive &= path.bounce < limit + more
         alive &= step < 2 * limit + MAX_PASSED  # rays that pass holes do not bounce
         number = dr.select(alive, number, number + 1)
         step = dr.select(alive, step + 1, draw.step)
         return active & (number < last), number, step, dr.select(alive, path, start), total
 
-    begin = start.si.is_valid() & (start.bounce < limit + int(task.lamps))
+    begin = start.si.is_valid() & (start.bounce < limit + more)
     state = (begin, draw.number, draw.step, start, total)
     return dr.while_loop(state, lambda active, *_: active, body)[-1]
 
