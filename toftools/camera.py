@@ -75,17 +75,35 @@ def rays(camera: Camera) -> F64:
         itself, so that no ray belongs to the pixel.
     """
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+    return rays_at(camera, u, v)
+
+
+def rays_at(camera: Camera, u_px: F64, v_px: F64) -> F64:
+    """Unit viewing direction of any points of the image.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera, distortion respected.
+    u_px, v_px : ndarray, (...)
+        Column and row, px; whole numbers are pixel centres.
+
+    Returns
+    -------
+    ndarray, (..., 3)
+        Unit vectors in the camera frame; NaN where no ray belongs to the point.
+    """
     if camera.dist.any():
-        x, y = _undistorted(camera, u, v)
+        x, y = _undistorted(camera, u_px, v_px)
     else:
-        y = (v - camera.K[1, 2]) / camera.K[1, 1]
-        x = (u - camera.K[0, 2] - camera.K[0, 1] * y) / camera.K[0, 0]
-    directions = np.stack([x, y, np.ones_like(x)], axis=-1)  # (H, W, 3)
+        y = (v_px - camera.K[1, 2]) / camera.K[1, 1]
+        x = (u_px - camera.K[0, 2] - camera.K[0, 1] * y) / camera.K[0, 0]
+    directions = np.stack([x, y, np.ones_like(x)], axis=-1)  # (..., 3)
     return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
 
 def _undistorted(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
-    """Normalised image coordinates x / z and y / z of every pixel, distortion taken out."""
+    """Normalised image coordinates x / z and y / z of points, distortion taken out."""
     import cv2
 
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
@@ -97,7 +115,7 @@ def _undistorted(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
     back = cv2.projectPoints(forward, np.zeros(3), np.zeros(3), camera.K, camera.dist)[0]
     missed = np.abs(np.asarray(back).reshape(-1, 2) - pixels.reshape(-1, 2)).max(axis=1) > 1e-2
     flat = np.where(missed[:, None], np.nan, xy.reshape(-1, 2))
-    x, y = flat.reshape(*u.shape, 2).transpose(2, 0, 1)
+    x, y = np.moveaxis(flat.reshape(*u.shape, 2), -1, 0)
     return x, y
 
 

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._phasors import C128, Light, direct_light, indirect_light
+from toftools.sim._phasors import C128, Light
 from toftools.sim._reuse import shared_light, worth_sharing
 from toftools.sim._stop import range_errors_m
 from toftools.sim._task import Task, first_hits
-from toftools.types import F64
+from toftools.sim._views import direct_of_pixels, in_parts, own_light, views
+from toftools.types import F64, Camera
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +32,6 @@ AMBIENT_PATHS = 64
 """Paths for the light of lamps, which is offset and shot noise only."""
 FAINT = 0.01
 """Pixels this much darker than the median do not count for a tile's error: they tell no range."""
-MAX_LANES = 1 << 20
-"""Lanes of one kernel call: bounds the memory of structures and sums."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +64,10 @@ class Order:
 
     Parameters
     ----------
-    directions : ndarray, (H, W, S, 3)
-        Viewing directions of the S points of every pixel, camera frame.
+    camera : Camera
+        Optics.
+    side : int
+        Points along each side of a pixel.
     freqs_hz : ndarray, (Q,)
         All frequencies wanted, Hz.
     used : ndarray, (F,), int
@@ -83,7 +84,8 @@ class Order:
         Of all sequences.
     """
 
-    directions: F64
+    camera: Camera
+    side: int
     freqs_hz: F64
     used: Any
     bounces: int
@@ -108,19 +110,16 @@ def render(task: Task, order: Order) -> Image:
     Image
         Light per pixel.
     """
-    height, width, inside, _ = order.directions.shape
+    height, width = order.camera.shape
     tiles, turn = _tiles(height, width)  # neighbours in the image become neighbours in the list
-    views = order.directions.reshape(height * width, inside, 3)[turn]
-    direct = _each(
-        views, lambda part, _: direct_light(task, first_hits(task, part), order.freqs_hz)
-    )
+    direct = direct_of_pixels(task, order.camera, turn, order.side, order.freqs_hz)
     sums = _Sums(len(order.freqs_hz), height * width)
     if task.lamps and not task.stage.lamp_modulated.any():
         # Ambient light moves no phase: a few paths of its own, none among those that count.
-        sums.ambient_only = _ambient(task, order, views)
+        sums.ambient_only = _ambient(task, order, turn)
         task = task.without_lamps()
     if order.bounces > 0 or task.chance_direct:
-        _rounds(task, order, views, direct.direct, tiles, sums)
+        _rounds(task, order, turn, direct.direct, tiles, sums)
     known, count = sums.samples > 0, np.maximum(sums.samples, 1)
 
     def image(values: Any) -> Any:  # noqa: ANN401 - (..., N) to (..., H, W), any kind
@@ -154,31 +153,30 @@ class _Sums:
 def _rounds(
     task: Task,
     order: Order,
-    views: F64,
+    turn: Any,  # noqa: ANN401
     direct: C128,
     tiles: Any,  # noqa: ANN401
     sums: _Sums,
 ) -> None:
     """Add rounds of passes until every tile is good enough, or has had the most paths."""
-    inside = views.shape[1]
-    estimate = _estimator(task, order, views)
-    wanted = PASSES * FIRST_PATHS if order.samples is None else order.samples
-    active, number = np.ones(len(views), bool), 0
+    estimate, least = _estimator(task, order, turn)
+    wanted = PASSES * max(FIRST_PATHS, least) if order.samples is None else order.samples
+    active, number = np.ones(len(turn), bool), 0
     while active.any():
         chosen = np.flatnonzero(active)
-        passes = min(PASSES, max(1, wanted // inside))
-        each = max(1, round(wanted / (passes * inside)))  # paths per point of a pixel
-        found = [_pass(estimate, order, views[chosen], each, number + i) for i in range(passes)]
+        passes = min(PASSES, max(1, wanted // least))
+        paths = least * max(1, round(wanted / (passes * least)))  # of one pass
+        found = [_pass(estimate, order, turn[chosen], paths, number + i) for i in range(passes)]
         number += passes
-        _add(sums, chosen, found, each * inside)
+        _add(sums, chosen, found, paths)
         total = direct + sums.parts.sum(axis=0) / np.maximum(sums.samples, 1)
         _judge(sums, chosen, found, total[order.used], order, tiles)
-        paths = int(sums.samples[chosen].max())
-        _tell(paths, active, sums.error_m[chosen])
+        most = int(sums.samples[chosen].max())
+        _tell(most, active, sums.error_m[chosen])
         if order.samples is not None:
             return
         active &= ~(sums.error_m <= order.tol_m) & (sums.samples < order.max_samples)
-        wanted = paths  # doubles what there is
+        wanted = most  # doubles what there is
 
 
 def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
@@ -187,64 +185,51 @@ def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
     log.info("%d paths a pixel in %.0f %% of the image%s", paths, 100 * active.mean(), error)
 
 
-def _estimator(task: Task, order: Order, views: F64) -> Callable[..., Light]:
-    """What estimates indirect light: paths shared among neighbours, or each for itself."""
-    some = first_hits(task, views[:: max(1, len(views) // PILOT), 0])
-    shares = order.bounces > 0 and worth_sharing(task, some, order.seed)
+def _estimator(task: Task, order: Order, turn: Any) -> tuple[Callable[..., Light], int]:  # noqa: ANN401
+    """What estimates indirect light, and the fewest paths of a pixel that it can work with."""
+    some = views(order.camera, turn[:: max(1, len(turn) // PILOT)], 1).reshape(-1, 3)
+    shares = order.bounces > 0 and worth_sharing(task, first_hits(task, some), order.seed)
     log.info("paths are %s", "shared among neighbouring pixels" if shares else "not shared")
-    return partial(shared_light if shares else indirect_light, task)
+    if shares:
+        return partial(shared_light, task), 1
+    return partial(own_light, task), order.side**2
 
 
 def _pass(
     estimate: Callable[..., Light],
     order: Order,
-    views: F64,
-    each: int,
+    pixels: Any,  # noqa: ANN401
+    paths: int,
     number: int,
 ) -> Light:
     """One independent estimate of some pixels."""
     task: Task = estimate.args[0]  # type: ignore[attr-defined]  # a partial
 
-    def light(part: F64, place: int) -> Light:
+    def light(directions: F64, place: int) -> Light:
         seed = (order.seed * 0x10001 + number) * 0x3D4D51CB + place  # another one for every part
         return estimate(
-            first_hits(task, part),
+            first_hits(task, directions),
             order.freqs_hz,
+            inside=order.side**2,
             bounces=order.bounces,
-            samples=each,
+            samples=paths,
             seed=seed,
         )
 
-    return _each(views, light)
+    return in_parts(order.camera, pixels, order.side, light)
 
 
-def _ambient(task: Task, order: Order, views: F64) -> F64:
+def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
     """Light of unmodulated lamps by way of surfaces, from `AMBIENT_PATHS` paths a pixel."""
-    dark = task.without_flashes()
-    each = max(1, AMBIENT_PATHS // views.shape[1])
+    dark, inside = task.without_flashes(), order.side**2
+    each = inside * max(1, AMBIENT_PATHS // inside)
+    settings: dict[str, Any] = {"inside": inside, "bounces": order.bounces, "samples": each}
 
-    def light(part: F64, place: int) -> Light:
-        settings = {"bounces": order.bounces, "samples": each, "seed": order.seed ^ (place + 1)}
-        return indirect_light(dark, first_hits(dark, part), np.zeros(1), **settings)
+    def light(directions: F64, place: int) -> Light:
+        first, seed = first_hits(dark, directions), order.seed ^ (place + 1)
+        return own_light(dark, first, np.zeros(1), seed=seed, **settings)
 
-    return _each(views, light).ambient
-
-
-def _each(views: F64, light: Callable[[F64, int], Light]) -> Light:
-    """Light of pixels, a bounded number of lanes at a time, averaged over the points in each."""
-    inside = views.shape[1]
-    step = max(1, MAX_LANES // inside)
-    done = [
-        _stacked(light(views[i : i + step].reshape(-1, 3), i), inside)
-        for i in range(0, len(views), step)
-    ]
-    return Light(*(np.concatenate(parts, axis=-1) for parts in zip(*done, strict=True)))
-
-
-def _stacked(light: Light, inside: int) -> list[Any]:
-    """The four arrays of a light, averaged over the points inside every pixel."""
-    parts = (light.direct, light.one_bounce, light.rest, light.ambient)
-    return [part.reshape(*part.shape[:-1], -1, inside).mean(axis=-1) for part in parts]
+    return in_parts(order.camera, turn, order.side, light).ambient
 
 
 def _add(sums: _Sums, chosen: Any, found: list[Light], paths: int) -> None:  # noqa: ANN401

@@ -23,7 +23,6 @@ import numpy as np
 from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.phasor import demodulate
-from toftools.sensors import resized
 from toftools.sim._flash import flashes_of
 from toftools.sim._render import Image, Order, render
 from toftools.sim._stop import Depth, needed_bounces
@@ -55,7 +54,7 @@ def path(
         Scene name or file with its parameters, or a world made by hand.
     antialias : int
         Points per pixel along each side: 1 looks through the pixel's centre, more average over its
-        area (and make flying pixels at edges).
+        area (and make flying pixels at edges, where the grid of the direct light is finer still).
     max_samples : int
         Paths per pixel at which a tile is left even above the tolerance.
     gpu : bool
@@ -88,13 +87,12 @@ def path(
 
     def run(shot: Shot) -> Capture:
         moves = bool(world.velocity_mps) and shot.sensor.timing.tap_interval_s > 0
-        views = _views(shot.sensor, antialias)
         done: dict[float, _Frame] = {}
 
         def frame_at(time_s: float) -> Frame:
             stage = load(world_at(world, time_s), variant=variant) if time_s else still
             task = Task(mi, stage, flashes_of(mi, stage, shot.sensor))
-            done[time_s] = _expose(task, views, shot, max_samples, done.get(0.0))
+            done[time_s] = _expose(task, shot, antialias, max_samples, done.get(0.0))
             return done[time_s].light, done[time_s].ambient_e
 
         seed = shot.seed if shot.noisy else None
@@ -118,17 +116,9 @@ class _Frame:
     task: Task
 
 
-def _views(sensor: Sensor, antialias: int) -> F64:
-    """Viewing directions (H, W, S, 3) of the points of every pixel; distortion respected."""
-    camera, n = sensor.camera, antialias
-    if n == 1:
-        return rays(camera)[:, :, None]
-    fine = rays(resized(camera, n * camera.width, n * camera.height))
-    split = fine.reshape(camera.height, n, camera.width, n, 3).swapaxes(1, 2)
-    return split.reshape(camera.height, camera.width, n * n, 3)
-
-
-def _expose(task: Task, views: F64, shot: Shot, max_samples: int, earlier: _Frame | None) -> _Frame:
+def _expose(
+    task: Task, shot: Shot, antialias: int, max_samples: int, earlier: _Frame | None
+) -> _Frame:
     """Light at one time; later times of a sequence keep the bounces of the first."""
     sensor, freqs_hz = shot.sensor, light_freqs_hz(shot.sensor)
     if shot.max_bounces is not None:
@@ -136,12 +126,12 @@ def _expose(task: Task, views: F64, shot: Shot, max_samples: int, earlier: _Fram
     elif earlier is not None:
         depth = earlier.depth
     else:
-        centres = views[:, :, views.shape[2] // 2].reshape(-1, 3)
-        mod_hz = sensor.modulation.freqs_hz
+        centres, mod_hz = rays(sensor.camera).reshape(-1, 3), sensor.modulation.freqs_hz
         depth = needed_bounces(task, centres, mod_hz, shot.tol_m, shot.seed)
         log.info("%s", depth.why)
     order = Order(
-        directions=views,
+        camera=sensor.camera,
+        side=antialias,
         freqs_hz=freqs_hz,
         used=np.searchsorted(freqs_hz, sensor.modulation.freqs_hz),
         bounces=depth.bounces,
