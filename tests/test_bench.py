@@ -337,6 +337,7 @@ def test_a_path_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, mon
     for capture in made:
         if capture.provenance["engine"] == "path":
             assert capture.provenance["standard_error_mm"] <= 40
+            assert capture.provenance["tolerance_mm"] == pytest.approx(40)
             assert np.abs(capture.truth.one_bounce).max() > 0
     written = [path.stat().st_mtime_ns for path in captures]
     monkeypatch.setattr("toftools.bench.plan.find", None)  # nothing may be made again
