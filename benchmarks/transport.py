@@ -7,8 +7,7 @@ Both engines get the same loaded geometry and materials, a flash at the camera a
 of bounces. Each lives in a process of its own and they take turns; the first call of every setting
 is kept apart. The peer integrates over the pixel, ours by default looks at its centre, so there are
 two questions: what the whole pixel sees (ours antialiased), against references of the peer; and
-what its centre sees, where each engine has its own reference and depth edges are left out. Lamps of
-the living room are off, since the peer would take them for modulated.
+what its centre sees, where each engine has its own reference and depth edges are left out.
 The living room is looked for beside TOFTOOLS_DATA, in scenes/living-room.
 """
 
@@ -29,6 +28,10 @@ from toftools.bench.run import machine, versions
 from toftools.sensors import sensor as preset
 
 MAX_BOUNCES = 8
+# The file's camera stands 17 mm before a wall, which its flash would light 3500 times as brightly
+# as from 1 m, so that a few chance hits there drown all other errors: 0.6 m forward. Lamps are off,
+# since the peer would take them for modulated.
+POSE = "lamps=0,camera=4.53+0.776+-2.16,target=3.57+0.85+-1.897"
 PIXEL, CENTRE = "whole pixel", "pixel centre"
 THEIRS, BEST = "mitransient", "mitransient, multijitter"
 OURS, SMOOTH = "toftools", "toftools, antialiased"
@@ -75,7 +78,7 @@ def cases(*, quick):
     size = "width=64,height=48" if quick else "width=128,height=96"
     return [
         *found,
-        Case("Living room", f"{room}:lamps=0", f"deeptof:{size},hfov_deg=70", *limits),
+        Case("Living room", f"{room}:{POSE}", f"deeptof:{size},hfov_deg=70", *limits),
     ], []
 
 

@@ -116,7 +116,9 @@ def agreement(one, other, keep):
     beyond four standard errors, and the relative gap of the mean phasor with its error.
     """
     gap, variance = (one.mean - other.mean)[keep], (one.variance + other.variance)[keep]
-    sums = [[(z[keep] / np.abs(other.mean[keep])).mean() for z in r.images] for r in (one, other)]
+    # No division by noisy pixels: their noise would shrink both means, one more than the other.
+    light = np.abs(other.mean[keep].sum())
+    sums = [[z[keep].sum() / light for z in r.images] for r in (one, other)]
     shift = np.mean(sums[0]) - np.mean(sums[1])
     # Neighbours may share paths: only whole images are independent.
     noise = sum(np.var(values, ddof=1) / len(values) for values in sums)
