@@ -249,6 +249,14 @@ def test_the_report_says_what_was_modelled_and_why(capsys, monkeypatch, tmp_path
     assert "300 electrons per tap on every pixel, unmodulated" in out
 
 
+def test_darkness_is_said_aloud(capsys, tmp_path):
+    code, out, _ = call(
+        capsys, "simulate", "slab", *SMALL, "--max-bounces", "0", "--out", tmp_path / "c.h5"
+    )
+    assert code == 0
+    assert "NONE gets modulated light" in out
+
+
 def test_a_missed_tolerance_is_said_aloud_with_what_helps(capsys, tmp_path):
     code, out, _ = call(
         capsys, "simulate", "cornell", "--sensor", "deeptof:width=16,height=12", "--tol-mm", "0.01",

@@ -103,7 +103,7 @@ def _pixels(capture: Capture) -> str:
     if capture.truth is not None:
         parts.append(f"{np.isfinite(capture.truth.range_m).mean():.1%} see a surface")
         if capture.truth.direct is not None and not _total(capture.truth).any():
-            parts.append("NONE gets modulated light: look at emitters and beam")
+            parts.append("NONE gets modulated light: look for glass, at emitters and at the beam")
     if capture.taps is not None and not capture.taps.valid.all():
         parts.append(f"{(~capture.taps.valid).sum()} are saturated")
     return ", ".join(parts)
