@@ -47,19 +47,19 @@ def world(name, **params):
 # Albedo, frequencies, paths, bounces, and how many more seeds a relative error of 1e-3 takes; what
 # the bounces leave out is below 1e-4 of the light.
 CAVITIES = [
-    (0.3, (20e6, 50e6, 100e6), 128, 8, 1),
-    (0.8, (20e6,), 64, 32, 1),
-    (0.8, (50e6, 100e6), 64, 12, 6),
-    (0.95, (20e6,), 64, 72, 3),
-    (0.95, (50e6,), 64, 18, 15),
-    (0.95, (100e6,), 64, 8, 20),
+    (0.3, (20e6, 50e6, 100e6), 128, 8, 4),
+    (0.8, (20e6,), 64, 32, 4),
+    (0.8, (50e6, 100e6), 64, 12, 24),
+    (0.95, (20e6,), 64, 72, 8),
+    (0.95, (50e6,), 64, 16, 52),
+    (0.95, (100e6,), 64, 6, 64),
 ]
 
 
 @pytest.mark.parametrize(("albedo", "proved", "paths", "bounces", "more"), CAVITIES)
 def test_sphere_cavity(albedo, proved, paths, bounces, more, record_property):
     found = shots(
-        Scene("cavity", {"albedo": albedo}), ideal(32, 32), range(16 * (more if THOROUGH else 1)),
+        Scene("cavity", {"albedo": albedo}), ideal(16, 16), range(16 * (more if THOROUGH else 1)),
         samples=paths, max_bounces=bounces,
     )  # fmt: skip
     mean = averaged(phasors(found).mean(axis=(2, 3)))
@@ -94,7 +94,7 @@ def disc_lit(radius, bounces):
     """Light from a shining disc by way of the wall it faces; the camera in between, on the axis."""
     device = ideal(16, 16, more=NARROW, emitters=(DARK,))
     lit = world("disc", gap=2.0, range=1.0, radius=radius, radiance=1.0)
-    found = shots(lit, device, range(16), samples=64, max_bounces=bounces)
+    found = shots(lit, device, range(200, 216), samples=64, max_bounces=bounces)
     light = np.column_stack([offset(found).mean(axis=(1, 2)), phasors(found).mean(axis=(2, 3))])
     return averaged(light)
 
@@ -109,7 +109,7 @@ def test_finite_disc_above_a_floor_point(record_property):
               "0/20/50/100 MHz", disc_lit(radius, 0), expected)  # fmt: skip
 
 
-@pytest.mark.parametrize("bounces", [0, 1, 2, 4])
+@pytest.mark.parametrize("bounces", [0, 1, 4])
 def test_endless_plates(bounces, record_property):
     # A disc of 1 km: what it lacks to a plane is (2 m / 1 km)^2 = 4e-6 of the light.
     expected = []
@@ -128,7 +128,9 @@ def test_endless_plates(bounces, record_property):
 @pytest.mark.parametrize("angle", [90.0, 60.0])
 def test_corner_one_bounce_against_quadrature(angle, record_property):
     device = ideal(12, 8, more=",hfov_deg=50")
-    found = shots(Scene("corner", {"angle": angle}), device, range(16), samples=256, max_bounces=1)
+    found = shots(
+        Scene("corner", {"angle": angle}), device, range(300, 316), samples=256, max_bounces=1
+    )
     form = shapes.corner(device.camera, angle=angle)
     expected = np.array([form.phasor(f, 1) - form.phasor(f, 0) for f in FREQS_HZ])
     light = np.array([c.truth.one_bounce for c in found], np.complex128)
@@ -188,17 +190,60 @@ SHINY = furnished(
         {"type": "roughplastic", "diffuse_reflectance": 0.6, "alpha": 0.15},
     ),
 )  # fmt: skip
-STEADY = {"Cornell box": furnished(), "gold, glass, frosted glass and plastic": SHINY}
+
+
+def rough_sheets():
+    """Sheets with bent normals: one by a map of normals, one by a map of heights."""
+    mi, rng = import_mitsuba(), np.random.default_rng(0)
+    bent = np.concatenate([rng.uniform(0.15, 0.85, (8, 8, 2)), np.full((8, 8, 1), 0.9)], axis=2)
+    maps = {"normalmap": bent, "arbitrary": rng.random((8, 8, 1))}
+    grey = {"type": "diffuse", "reflectance": 0.8}
+    picture = {k: {"type": "bitmap", "bitmap": mi.Bitmap(v.astype(np.float32)), "raw": True}
+               for k, v in maps.items()}  # fmt: skip
+    bumps = {"type": "bumpmap", "arbitrary": picture["arbitrary"], "scale": 0.3, "bsdf": grey}
+    bends = {"type": "normalmap", "normalmap": picture["normalmap"], "bsdf": grey}
+    return {
+        "bends": quad([-0.4, 0.2, 3.2], [0.3, 0, 0.1], [0, -0.6, 0], bends),
+        "bumps": quad([0.4, 0.2, 3.2], [0.3, 0, -0.1], [0, -0.6, 0], bumps),
+    }
+
+
+def smooth_ball():
+    """An octahedron whose normals pretend that it is round."""
+    corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    faces = [[a, b, c] if s > 0 else [a, c, b] for a in (0, 1) for b in (2, 3) for c in (4, 5)
+             for s in [corners[[a, b, c]].prod(where=corners[[a, b, c]] != 0)]]  # fmt: skip
+    return {"type": "arrays", "vertices": corners * 0.5 + [0.1, 0.2, 3.1], "normals": corners,
+            "faces": faces, "bsdf": GREY}  # fmt: skip
+
+
+ONE_SIDED = {"type": "diffuse", "reflectance": 0.8}
+STEADY = {
+    "Cornell box": lambda: {},
+    "gold, glass, frosted glass and plastic": lambda: SHINY.description,
+    "sheets with bent normals": rough_sheets,
+    "octahedron with smooth normals": lambda: {"ball": smooth_ball()},
+    "back of a one-sided sheet": lambda: {
+        "back": quad([-0.2, 0.2, 2.6], [0.4, 0, 0.1], [0, 0.4, 0], ONE_SIDED)
+    },
+    "blend of two greys": lambda: {
+        "mixed": quad(
+            [0, 0.2, 3.2], [0.6, 0, 0.1], [0, -0.6, 0],
+            {"type": "blendbsdf", "weight": 0.4, "a": ONE_SIDED, "b": GREY["bsdf"]},
+        )
+    },
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", STEADY)
-@pytest.mark.parametrize("bounces", [0, 3])
+@pytest.mark.parametrize("bounces", [0, 2])
 def test_no_frequency_is_the_steady_picture(name, bounces, record_property):
-    scene, device = STEADY[name], ideal(12, 9, (20e6,), more=",hfov_deg=37")
-    found = offset(shots(scene, device, range(8), samples=256, max_bounces=bounces))
+    # 11 lines: no ray of this camera meets an edge of the box at exactly 45 degrees.
+    scene, device = furnished(**STEADY[name]()), ideal(12, 11, (20e6,), more=",hfov_deg=35")
+    found = offset(shots(scene, device, range(400, 408), samples=64, max_bounces=bounces))
     flash = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": np.pi}
     lit = replace(scene, description={**scene.description, "flash": flash})
-    theirs = steady(lit, device.camera, range(8), paths=512, depth=bounces + 2)
+    theirs = steady(lit, device.camera, range(8), paths=256, depth=bounces + 2)
     agree(record_property, name, f"0 Hz, {bounces} bounces, Mitsuba's path", found, theirs)
 
 
@@ -232,26 +277,35 @@ LAMPS = {
 
 
 @pytest.mark.parametrize("name", LAMPS)
-def test_lamps_give_the_steady_picture_and_no_phase(name, record_property):
+def test_lamps_give_the_steady_picture(name, record_property):
     lamps = {key: entry or sky() for key, entry in LAMPS[name].items()}
     scene = replace(furnished(**SHINY.description, **lamps), lamp_gain=1.0)
-    device = ideal(12, 9, (20e6,), more=",hfov_deg=60", emitters=(DARK,))
-    found = shots(scene, device, range(8), samples=256, max_bounces=2)
-    theirs = steady(scene, device.camera, range(8), paths=512, depth=4)
-    agree(record_property, name, "0 Hz, 2 bounces, Mitsuba's path", offset(found), theirs)
-    assert np.abs(phasors(found)).max() < 1e-6
+    device = ideal(12, 11, (20e6,), more=",hfov_deg=60", emitters=(DARK,))
+    theirs = steady(scene, device.camera, range(8), paths=256, depth=4)
+    ambient = shots(scene, device, range(500, 508), samples=64, max_bounces=2)
+    agree(
+        record_property, name, "0 Hz, 2 bounces, ambient, Mitsuba's path", offset(ambient), theirs
+    )
+    assert np.abs(phasors(ambient)).max() < 1e-6
+    # Marked as modulated they get as many paths as the camera's own light.
+    scene = replace(scene, modulated_s=dict.fromkeys(lamps, 0.0))
+    found = shots(scene, device, range(500, 508), samples=64, max_bounces=2)
+    agree(
+        record_property, name, "0 Hz, 2 bounces, modulated, Mitsuba's path", offset(found), theirs
+    )
 
 
-def test_a_modulated_lamp_carries_its_delay():
+def test_a_modulated_lamp_carries_its_delay(record_property):
     lit = world("disc", radius=0.5, radiance=1.0)
     late = replace(lit, modulated_s={"disc": 3e-9})
     device = ideal(4, 4, emitters=(DARK,))
     soon, later = (phasors(shots(w, device, [0], samples=64, max_bounces=2)) for w in (lit, late))
     turn = np.exp(2j * np.pi * device.modulation.freqs_hz * 3e-9)[:, None, None]
     assert np.allclose(later, soon * turn, rtol=1e-5, atol=1e-6 * np.abs(soon).max())
-    off = shots(replace(lit, modulated_s={}), device, [0], samples=64, max_bounces=2)
+    off = shots(replace(lit, modulated_s={}), device, range(8), samples=64, max_bounces=2)
     assert np.abs(phasors(off)).max() < 1e-6, "ambient unless marked"
-    assert np.allclose(offset(off), offset(shots(lit, device, [0], samples=64, max_bounces=2)))
+    on = shots(lit, device, range(8), samples=64, max_bounces=2)
+    agree(record_property, "disc of 0.5 m radius", "0 Hz, not modulated", offset(off), offset(on))
 
 
 # Glass
@@ -369,7 +423,7 @@ def test_the_place_of_the_world_does_not_matter():
 def test_camera_and_source_may_change_places(record_property):
     """Light that a point gets from all around, of a source at another, and the other way round."""
     ends = np.array([[0.5, 0.3, -0.2], [-0.7, 0.2, 0.6]])
-    seeds, flows = range(8), []
+    seeds, flows = range(600, 608), []
     for here, there in (ends, ends[::-1]):
         flow = np.zeros((len(seeds), 2), np.complex128)
         for turn in cube_faces():
@@ -377,16 +431,16 @@ def test_camera_and_source_may_change_places(record_property):
             pose[:3, :3], pose[:3, 3] = turn, here
             scene = replace(world("cavity", albedo=0.6), to_world=pose)
             device = ideal(
-                24, 24, (20e6, 60e6), more=",hfov_deg=90",
+                16, 16, (20e6, 60e6), more=",hfov_deg=90",
                 emitters=(Emitter(tuple(turn.T @ (there - here))),),
             )  # fmt: skip
-            found = shots(scene, device, seeds, samples=16, max_bounces=4)
+            found = shots(scene, device, seeds, samples=64, max_bounces=3)
             share = rays(device.camera)[..., 2] ** 3 / device.camera.K[0, 0] ** 2
             flow += (phasors(found) * share).sum(axis=(2, 3))
         flows.append(averaged(flow))
     one, other = flows
     both = Mean(one.value, np.hypot(one.error, other.error))
-    # 24 x 24 directions per face of the cube: the midpoint rule is good to 1e-4 here.
+    # 16 x 16 directions per face of the cube: the midpoint rule is good to 1e-4 here.
     prove(record_property, "sphere cavity, camera and source apart", "swapped, 20/60 MHz", both,
           other.value, rounding=2e-4)  # fmt: skip
 
