@@ -117,7 +117,7 @@ ENGINE = """
 import time
 import numpy as np
 
-def make(scene, sensor, *, max_bounces, noise, slow):
+def make(scene, sensor, *, max_bounces, noise=0.0, slow=0.0):
     def render(samples, seed):
         time.sleep(slow * samples)
         rng = np.random.default_rng([seed, int(1e6 * noise)])
@@ -136,9 +136,8 @@ def test_comparison_runs_without_the_peer(bench, monkeypatch, tmp_path):
     own = dict(zip(transport.CONTESTANTS, (noisy, noisy, clean, clean), strict=True))
     pretended = {name: ("pretended", options) for name, options in own.items()}
     monkeypatch.setattr(transport, "CONTESTANTS", pretended)
-    case = transport.Case(
-        "test", "wall:range=2", "deeptof:width=32,height=32,hfov_deg=20", (4, 16), 1.0, 12
-    )
+    view = ("wall:range=2", "hfov_deg=20", (32, 32))
+    case = transport.Case("test", *view, counts=(4, 16), limit_s=1.0, runs=12)
     told = []
     result = transport.run_case(case, {}, told.append)
     about = {"versions": {}, "machine": {"cpu": "any", "threads": 1}, "max_bounces": 8,

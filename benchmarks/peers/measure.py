@@ -11,7 +11,7 @@ import numpy as np
 from toftools.camera import rays
 from toftools.units import phase_to_range
 
-EDGE = 0.01
+EDGE = 0.003
 Z_SHARE = 4.0
 
 
@@ -94,7 +94,7 @@ def median_m(phasors, truth, freq_hz, keep):
 
 
 def away_from_edges(camera, range_m):
-    """Pixels whose neighbourhood is one smooth surface: 1/z, affine on a plane, bends by < 1 %."""
+    """Pixels whose neighbourhood is one smooth surface: 1/z, affine on a plane, bends little."""
     inverse = 1 / (range_m * rays(camera)[..., 2])
     padded = np.pad(inverse, 1, constant_values=np.nan)
     height, width = inverse.shape

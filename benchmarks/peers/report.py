@@ -21,7 +21,7 @@ def _value(thing):
 
 def _plain(result):
     case = result["case"]
-    return {**result, "case": {"name": case.name, "sensor": case.sensor, "samples": case.counts}}
+    return {**result, "case": {"name": case.name, "sensor": case.sensor(), "samples": case.counts}}
 
 
 def heading(about):
