@@ -122,14 +122,14 @@ def steady(world, camera, seeds, *, paths, depth):
 
 
 def agree(record, scene, what, ours, theirs, *, sigmas=7):
-    """Two renderers' pictures (S, H, W) agree in every pixel and in the mean.
+    """Two ways' pictures (S, ..., H, W) agree in every pixel and in the mean.
 
     In every pixel, with 8 seeds each, errors are those of Student's t with 14 degrees of freedom:
     beyond 7 in 1 of 10^5.
     """
     for which, one, other, limit in (
         ("every pixel", averaged(ours), averaged(theirs), sigmas),
-        ("mean", averaged(ours.mean(axis=(1, 2))), averaged(theirs.mean(axis=(1, 2))), SIGMAS),
+        ("mean", averaged(ours.mean(axis=(-2, -1))), averaged(theirs.mean(axis=(-2, -1))), SIGMAS),
     ):
         both = Mean(one.value, np.hypot(one.error, other.error))
         prove(record, scene, f"{what}, {which}", both, other.value, sigmas=limit)

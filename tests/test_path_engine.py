@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference_transport as exact
-from path_proof import DARK, averaged, fact, ideal, offset, phasors, prove, shots
+from path_proof import DARK, agree, averaged, fact, ideal, offset, phasors, prove, shots
 
 from toftools._native import import_mitsuba
 from toftools._overrides import spot
@@ -219,6 +219,22 @@ def test_a_pixel_across_an_edge_sums_both_walls():
         parts[depth] = (strength * turn).mean(axis=(1, 2))
     expected = 3 / 8 * parts[1.0] + 5 / 8 * parts[2.0]
     assert np.abs(across - expected).max() < FLOAT32 * np.abs(expected).max()
+
+
+def test_indirect_light_is_averaged_over_a_pixel_too(record_property):
+    device, few = ideal(8, 6, more=",hfov_deg=37"), {"noisy": False, "max_bounces": 2}
+    fine = replace(device, camera=resized(device.camera, 24, 18))
+    whole, parts = path(Scene("cornell"), antialias=3), path(Scene("cornell"))
+    seeds = range(1000, 1008)
+    whole = [whole(Shot(device, seed=seed, samples=144, **few)).truth for seed in seeds]
+    parts = [parts(Shot(fine, seed=seed, samples=16, **few)).truth for seed in seeds]
+    for part in ("one_bounce", "rest"):
+        one, other = (
+            np.array([getattr(t, part) for t in truths], np.complex128) for truths in (whole, parts)
+        )
+        split = other.reshape(8, 3, 6, 3, 8, 3).mean(axis=(3, 5))
+        name = "Cornell box, 3 x 3 points a pixel"
+        agree(record_property, name, f"{part}, as from a finer picture", one, split)
 
 
 # What it says of its own errors
