@@ -500,6 +500,31 @@ def test_what_is_masked_out_is_not_there(where, bounces, record_property):
         prove(record_property, "corner with an open mask", what, both, other.value)
 
 
+THIN = 1 - 2 * 0.04 / 1.04  # a pane of index 1.5: two faces of 4 %, echoes between them included
+SHEETS = {
+    "veil of 0.3": (veil(0.3)["veil"]["bsdf"], 0.7, 0.5 * 0.3),
+    "veil of 0.7": (veil(0.7)["veil"]["bsdf"], 0.3, 0.5 * 0.7),
+    "thin pane": ({"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}, THIN, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", SHEETS)
+@pytest.mark.parametrize("aside", [0.0, 1e-3])
+def test_sheets_that_let_a_share_pass(name, aside, record_property):
+    """Light crosses the sheet on its way there and back; what stays comes from the sheet itself."""
+    bsdf, through, own = SHEETS[name]
+    scene = world("wall", range=2.0, albedo=0.5)
+    sheet = quad([0, 0, 1.0], [3, 0, 0], [0, -3, 0], bsdf)
+    scene = replace(scene, description={**scene.description, "sheet": sheet})
+    # Just beside the camera a source is connected by shadow rays.
+    device = ideal(8, 8, more=",hfov_deg=0.01", emitters=(Emitter((aside, 0.0, 0.0)),))
+    found = shots(scene, device, range(1000, 1016), samples=64, max_bounces=0)
+    mean = averaged(phasors(found).mean(axis=(2, 3)))
+    near, far = (exact.turn(2 * z, device.modulation.freqs_hz) for z in (1.0, 2.0))
+    expected = own * near + through**2 * 0.5 / 4 * far
+    prove(record_property, f"{name} before a wall", f"source {aside:g} m aside", mean, expected)
+
+
 def test_a_closed_mask_is_a_wall():
     device, scene = ideal(8, 6), world("corner")
     solid = replace(scene, description={**scene.description, **veil(1.0)})

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._holes import blocked
+from toftools.sim._holes import share_seen
 from toftools.sim.stage import Stage
 from toftools.types import Sensor
 from toftools.units import phase_to_range
@@ -143,7 +143,7 @@ def flash_light(
         value *= _beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
     seen = active & (value > 0)
     if not lit:
-        seen &= ~blocked(mi, stage.scene, si, place, seen)
+        value *= share_seen(mi, stage.scene, si, place, seen)
     optical_m = dr.select(si.wi.z * local.z < 0, 1.0, ior) * dist_m
     return dr.select(seen, value, 0.0), optical_m + flash.delay_m
 

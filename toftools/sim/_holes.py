@@ -1,7 +1,7 @@
-"""Surfaces with holes, such as leaves cut out of rectangles: light passes where most of it would.
+"""Surfaces that let light pass straight on: leaves cut out of rectangles, thin panes, veils.
 
-A mask lets light through straight on. What a pixel sees first, and what a source shines on, is
-decided by the larger share: a point that lets more than half pass counts as a hole.
+Where all light passes there is a hole, which needs no chance. Where a share passes, paths pass by
+chance, and sources shine through with that share.
 """
 
 from typing import Any
@@ -11,6 +11,8 @@ Jit = Any
 
 MAX_PASSED = 16
 """Surfaces with a hole that a ray may pass in a row."""
+ALL, MOST = 0.999, 0.5
+"""Shares of light that pass a hole, and what counts as one where a single range must be told."""
 
 
 def has_holes(mi: Any, scene: Any) -> bool:  # noqa: ANN401 - modules and scenes of Mitsuba
@@ -32,8 +34,8 @@ def has_holes(mi: Any, scene: Any) -> bool:  # noqa: ANN401 - modules and scenes
     return any(mi.has_flag(flag, mi.BSDFFlags.Null) for flag in flags)
 
 
-def is_hole(si: Jit, active: Jit) -> Jit:
-    """Whether rays go on behind surface points.
+def share_passed(si: Jit, active: Jit) -> Jit:
+    """Share of light that passes surface points straight on.
 
     Parameters
     ----------
@@ -44,15 +46,17 @@ def is_hole(si: Jit, active: Jit) -> Jit:
 
     Returns
     -------
-    Bool
-        True in a hole.
+    Float
+        From 0 for opaque to 1 for a hole; 0 where there is no surface.
     """
+    import drjit as dr
+
     met = active & si.is_valid()
-    return met & (si.bsdf().eval_null_transmission(si, met)[0] > 0.5)
+    return dr.select(met, si.bsdf().eval_null_transmission(si, met)[0], 0.0)
 
 
-def blocked(mi: Any, scene: Any, si: Jit, place: Jit, active: Jit) -> Jit:  # noqa: ANN401
-    """Whether something stands between surface points and a place.
+def share_seen(mi: Any, scene: Any, si: Jit, place: Jit, active: Jit) -> Jit:  # noqa: ANN401
+    """Share of the light of a source that reaches surface points.
 
     Parameters
     ----------
@@ -63,26 +67,27 @@ def blocked(mi: Any, scene: Any, si: Jit, place: Jit, active: Jit) -> Jit:  # no
     si : SurfaceInteraction3f
         Points.
     place : Point3f
-        The place.
+        Of the source.
     active : Bool
         Which points count.
 
     Returns
     -------
-    Bool
-        True in shadow; holes let light pass.
+    Float
+        0 in shadow, 1 in the open.
     """
     import drjit as dr
 
     ray = si.spawn_ray_to(place)
     if not has_holes(mi, scene):
-        return scene.ray_test(ray, active)
+        return dr.select(scene.ray_test(ray, active), 0.0, 1.0)
 
-    def body(going: Jit, ray: Jit, dark: Jit, passed: Jit) -> tuple[Jit, ...]:
+    def body(going: Jit, ray: Jit, share: Jit, passed: Jit) -> tuple[Jit, ...]:
         hit = scene.ray_intersect(ray, going)
-        hole = is_hole(hit, going) & (passed < MAX_PASSED)
-        dark |= going & hit.is_valid() & ~hole
-        return hole, dr.select(hole, hit.spawn_ray_to(place), ray), dark, passed + 1
+        met = going & hit.is_valid()
+        share = share * dr.select(met, share_passed(hit, met), 1.0)
+        going = met & (share > 0) & (passed < MAX_PASSED)
+        return going, dr.select(going, hit.spawn_ray_to(place), ray), share, passed + 1
 
-    state = (active, ray, active & False, mi.UInt32(0))
+    state = (active, ray, dr.full(mi.Float, 1, dr.width(si.t)), mi.UInt32(0))
     return dr.while_loop(state, lambda going, *_: going, body)[2]

@@ -188,7 +188,8 @@ def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
 def _estimator(task: Task, order: Order, turn: Any) -> tuple[Callable[..., Light], int]:  # noqa: ANN401
     """What estimates indirect light, and the fewest paths of a pixel that it can work with."""
     some = views(order.camera, turn[:: max(1, len(turn) // PILOT)], 1).reshape(-1, 3)
-    shares = order.bounces > 0 and worth_sharing(task, first_hits(task, some), order.seed)
+    able = order.bounces > 0 and not (task.holes and task.lamps)  # lamps behind veils count once
+    shares = able and worth_sharing(task, first_hits(task, some), order.seed)
     log.info("paths are %s", "shared among neighbouring pixels" if shares else "not shared")
     if shares:
         return partial(shared_light, task), 1

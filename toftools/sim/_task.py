@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._flash import Flash
-from toftools.sim._holes import MAX_PASSED, has_holes, is_hole
+from toftools.sim._holes import ALL, MAX_PASSED, has_holes, share_passed
 from toftools.sim.stage import Stage
 from toftools.types import F64
 
@@ -92,7 +92,7 @@ def next_hit(task: Task, si: Jit, away: Jit, active: Jit) -> Jit:
     return nearby
 
 
-def first_hits(task: Task, directions: F64) -> Jit:
+def first_hits(task: Task, directions: F64, *, hole: float = ALL) -> Jit:
     """First surface along each viewing direction; holes of masks are seen through.
 
     Parameters
@@ -101,6 +101,8 @@ def first_hits(task: Task, directions: F64) -> Jit:
         Scene.
     directions : ndarray, (N, 3)
         Unit vectors in the camera frame; NaN sees nothing.
+    hole : float
+        Share of light from which a surface is a hole.
 
     Returns
     -------
@@ -121,12 +123,12 @@ def first_hits(task: Task, directions: F64) -> Jit:
         dr.eval(si)
         return si
     for _ in range(MAX_PASSED):
-        hole = is_hole(si, seen)
-        if not dr.any(hole):
+        through = share_passed(si, seen) > hole
+        if not dr.any(through):
             break
-        passed = passed + dr.select(hole, si.t, 0.0)
-        beyond = next_hit(task, si, ray.d, hole)
-        si = dr.select(hole, beyond, si)
+        passed = passed + dr.select(through, si.t, 0.0)
+        beyond = next_hit(task, si, ray.d, through)
+        si = dr.select(through, beyond, si)
     si.t = si.t + passed
     dr.eval(si)
     return si

@@ -24,6 +24,7 @@ from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.phasor import demodulate
 from toftools.sim._flash import flashes_of
+from toftools.sim._holes import MOST
 from toftools.sim._render import Image, Order, render
 from toftools.sim._stop import Depth, needed_bounces
 from toftools.sim._task import Task, first_hits
@@ -167,7 +168,7 @@ def _truth(sensor: Sensor, frame: _Frame) -> Truth:
     """What the camera should have seen, through the centres of its pixels."""
     stage, shape = frame.task.stage, sensor.camera.shape
     views = rays(sensor.camera).reshape(-1, 3)
-    first = first_hits(frame.task, views)
+    first = first_hits(frame.task, views, hole=MOST)
     hit = np.asarray(first.is_valid().numpy(), bool)
     range_m = np.where(hit, first.t.numpy() * stage.unit_m, np.nan)
     normals = first.n.numpy().T @ stage.to_world[:3, :3]  # scene to camera frame
