@@ -147,6 +147,17 @@ def test_a_missing_libusb_is_said(monkeypatch):
         _native.prepare_libusb()
 
 
+def test_a_machine_without_a_gpu_is_told_so(monkeypatch):
+    mitsuba = _native.import_mitsuba()
+
+    def no_driver(_name):
+        raise ImportError
+
+    monkeypatch.setattr(mitsuba, "set_variant", no_driver)
+    with pytest.raises(RuntimeError, match="it needs an NVIDIA GPU and its driver"):
+        _native.import_mitsuba("cuda_ad_mono")
+
+
 def test_an_unknown_variant_is_refused():
     with pytest.raises(ValueError, match="got Mitsuba variant 'llvm_mono', wanted one of scalar"):
         _native.import_mitsuba("llvm_mono")
@@ -248,3 +259,22 @@ def test_doctor_counts_recordings(monkeypatch, tmp_path):
     assert found.ok
     monkeypatch.delenv("TOFTOOLS_DATA")
     assert not doctor._data().ok
+
+
+@pytest.mark.parametrize("first", ["", "import numba"])
+def test_numba_does_not_complain_about_the_libraries_of_open3d(first):
+    """Open3D brings an old TBB; whoever runs a parallel kernel after it got a warning."""
+    code = f"""
+{first}
+import warnings
+warnings.simplefilter("error")
+from toftools._native import import_open3d
+import_open3d()
+import numpy as np
+from toftools.correct.crt import crt
+from toftools.sensors import sensor
+from toftools.types import Phasors
+crt(sensor("opt8241:width=4,height=3"))(Phasors(np.ones((2, 3, 4))))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

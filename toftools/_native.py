@@ -182,6 +182,7 @@ def import_open3d() -> Any:  # noqa: ANN401 - a module
         If Open3D or its libusb is not there.
     """
     prepare_libusb()
+    _leave_tbb_alone()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -190,3 +191,11 @@ def import_open3d() -> Any:  # noqa: ANN401 - a module
             msg = f"cannot import open3d ({error}): pip install open3d-cpu, or open3d off Linux x86"
             raise RuntimeError(msg) from error
     return open3d
+
+
+def _leave_tbb_alone() -> None:
+    """Let numba take OpenMP first: it would find the TBB of Open3D and complain about its age."""
+    layers = ["omp", "workqueue", "tbb"]
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.THREADING_LAYER_PRIORITY = layers
+    os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", " ".join(layers))
