@@ -249,6 +249,22 @@ def test_the_report_says_what_was_modelled_and_why(capsys, monkeypatch, tmp_path
     assert "300 electrons per tap on every pixel, unmodulated" in out
 
 
+def test_motion_that_no_tap_can_see_is_said_aloud(capsys, tmp_path):
+    for scene_text, timing, words in (
+        ("wall:velocity=0+0+1", "", "motion        NOT SEEN, as all taps are taken at once"),
+        ("wall:velocity_mps=1", "", "motion        NOT SEEN"),
+        ("wall:velocity=0+0+1", ",tap_interval_s=0.001", "motion        taps see the scene"),
+    ):
+        sensor = f"deeptof:width=16,height=12{timing}"
+        code, out, err = call(
+            capsys, "simulate", scene_text, "--sensor", sensor, "--out", tmp_path / "c.h5"
+        )
+        assert code == 0, err
+        assert words in out
+    _, out, _ = call(capsys, "simulate", "wall", *SMALL, "--out", tmp_path / "c.h5")
+    assert "\n  motion" not in out
+
+
 def test_darkness_is_said_aloud(capsys, tmp_path):
     code, out, _ = call(
         capsys, "simulate", "slab", *SMALL, "--max-bounces", "0", "--out", tmp_path / "c.h5"

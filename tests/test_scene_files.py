@@ -225,7 +225,7 @@ def test_shapes_without_material_take_the_albedo_too(tmp_path):
         ("delay_ns=2", "wanted one each, or one"),
         ("modulated=bulb,delay_ns=1+2", "wanted one each, or one"),
         ("albedo=1.5", "albedo must lie in 0..1"),
-        ("albedos=gone.toml", "nothing there at gone.toml"),
+        ("albedos=gone.toml", "albedos=gone.toml, which is no file"),
         ("colour=1", "has no parameter 'colour'"),
         ("camera=0+1+7.9995,target=0+1+9", "the camera touches the shape 'e'"),
         ("camera=2+1+4,target=2+1+9", "the camera stands inside the shape 'b'"),
@@ -237,6 +237,17 @@ def test_impossible_parameters_of_a_file_are_refused(old, text, message):
     with pytest.raises(ValueError, match=message) as error:
         load(world(old, text))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("lamp", ['type="constant"', 'type="directional"'])
+def test_a_lamp_without_a_distance_cannot_be_modulated(tmp_path, lamp):
+    ball = '<shape type="sphere"><point name="center" value="0,0,4"/></shape>'
+    sky = f'<emitter id="sky" {lamp}/>'
+    path = written(tmp_path / "sky.xml", f'<scene version="3.0.0">{ball}{sky}</scene>')
+    at = "camera=0+0+0,target=0+0+1"
+    assert not load(world(path, at)).lamp_modulated.any()
+    with pytest.raises(ValueError, match="modulated=sky, a lamp without a distance"):
+        load(world(path, f"{at},modulated=sky"))
 
 
 @pytest.mark.parametrize(

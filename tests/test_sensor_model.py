@@ -269,6 +269,9 @@ def test_heterodyne_by_text_covers_one_beat():
     assert contrasts(device)[0] == pytest.approx(0.8 * np.sinc(0.25))
     two = sensor("kinect2:steps=ab_three_step,taps_per_exposure=2,beat_hz=10")
     assert tap_times_s(two)[1].tolist() == pytest.approx(np.repeat([3, 4, 5], 2) / 30)
+    quarter = sensor("deeptof:taps_per_exposure=2,beat_hz=25")  # half a beat later, all is told
+    assert quarter.timing.tap_interval_s == 1 / 100
+    assert np.allclose(quarter.modulation.steps_rad[0], np.pi * np.array([0, 1, 0.5, 1.5]))
     with pytest.raises(ValueError, match="taps of this timing step by"):
         sensor("deeptof:beat_hz=40,steps=four_step,tap_interval_s=0.001")
     with pytest.raises(ValueError, match="0 < exposure_s <= tap_interval_s"):
@@ -403,7 +406,8 @@ REFUSED = [
     "prnu=-0.1", "dsnu_e=-1", "fppn_rad=-0.1", "unit=-1", "unit=1.5", "ab_gain=-2", "scatter=1",
     "scatter=-0.1", "scatter_px=0", "scatter_px=1e6", "temperature_c=nan", "temperature_c=hot",
     "tap_interval_s=-1", "exposure_s=-1", "taps_per_exposure=3", "taps_per_exposure=0",
-    "taps_per_exposure=2", "beat_hz=30,exposure_s=0", "beat_hz=nan", "emitter=1", "emitter=1+2",
+    "taps_per_exposure=2", "ab_gain=0.1", "beat_hz=30,exposure_s=0", "beat_hz=nan",
+    "emitter=1", "emitter=1+2",
     "emitter=1+2+nan", "emitter=1+2+x", "beam_deg=0", "beam_deg=400", "beam_deg=70,beam=x.csv",
     "beam=none.csv", "companding=none", "waveform=none.csv", "waveform=3", "waveform=sine,rise=0.1",
 ]  # fmt: skip

@@ -22,6 +22,7 @@ _LLVM_ADVICE = (
     f"pip install {LLVM_WHEEL}, or set {LLVM_VARIABLE} to a libLLVM of version {LLVM_OLDEST} "
     "or newer"
 )
+_GPU_ADVICE = "it needs an NVIDIA GPU and its driver; without them trace on the CPU (no gpu=true)"
 
 
 def prepare_llvm() -> str | None:
@@ -163,7 +164,8 @@ def import_mitsuba(variant: str = "llvm_ad_mono") -> Any:  # noqa: ANN401 - a mo
         try:
             mitsuba.set_variant(variant)
         except ImportError as error:
-            msg = f"Mitsuba cannot use its variant {variant}: {_LLVM_ADVICE}"
+            advice = _LLVM_ADVICE if variant.startswith("llvm") else _GPU_ADVICE
+            msg = f"Mitsuba cannot use its variant {variant}: {advice}"
             raise RuntimeError(msg) from error
     return mitsuba
 

@@ -73,6 +73,7 @@ def overridden(sensor: Sensor, params: Mapping[str, Any]) -> Sensor:
     sensor = _waved(sensor, _given(params, WAVE_KEYS))
     sensor = _sized(sensor, _given(params, CAMERA_KEYS))
     sensor = _lit(sensor, _given(params, LIGHT_KEYS))
+    _check_meant(sensor, params)
     noise = _given(params, NOISE_KEYS)
     if "companding" in params:
         noise["codes_dn"] = _codes(params["companding"])
@@ -82,6 +83,13 @@ def overridden(sensor: Sensor, params: Mapping[str, Any]) -> Sensor:
         noise=replace(sensor.noise, **noise),
         defects=replace(sensor.defects, **defects),
     )
+
+
+def _check_meant(sensor: Sensor, params: Mapping[str, Any]) -> None:
+    """Refuse what would change nothing because its other half is missing."""
+    if params.get("ab_gain") and sensor.timing.taps_per_exposure == 1:
+        msg = "ab_gain is of node B of a two-tap pixel; give taps_per_exposure=2 as well"
+        raise ValueError(msg)
 
 
 def _given(params: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,13 +118,17 @@ def _steps(sensor: Sensor, value: Any) -> Sensor:  # noqa: ANN401 - parsed from 
 
 
 def _timed(sensor: Sensor, times: dict[str, Any], *, chosen: bool) -> Sensor:
-    """Timing of the taps; heterodyne taps cover one beat by default, and step as they fall."""
+    """Timing of the taps; heterodyne taps cover one beat by default, and step as they fall.
+
+    Two shots of a two-tap pixel cover half a beat: half a turn apart, both would see the same.
+    """
     if not times:
         return sensor
     old, nodes = sensor.modulation, times.get("taps_per_exposure", 1)
     shots = max(old.n_taps // max(nodes, 1), 1)
     if beat_hz := times.get("beat_hz"):
-        times.setdefault("tap_interval_s", 1 / (shots * abs(beat_hz)))
+        parts = 4 if (shots, nodes) == (2, 2) else shots
+        times.setdefault("tap_interval_s", 1 / (parts * abs(beat_hz)))
         times.setdefault("exposure_s", times["tap_interval_s"])
     timing = replace(sensor.timing, **times)
     if not (timing.beat_hz and not chosen):

@@ -31,6 +31,7 @@ def told(capture: Capture, *, wall_s: float, peak_mb: float) -> list[str]:
         *_light(facts),
         *_paths(facts),
         *_lamps(facts),
+        *_motion(capture),
         *((("not modelled", str(facts["not_modelled"])),) if "not_modelled" in facts else ()),
         *(("scene edit", str(note)) for note in facts.get("scene_notes", ())),
         ("pixels", _pixels(capture)),
@@ -94,6 +95,20 @@ def _lamps(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "lamps", f"{lamps['modulated']} modulated, {lamps['ambient']} ambient, {state}"
     if facts.get("ambient_e"):
         yield "ambient", f"{facts['ambient_e']:g} electrons per tap on every pixel, unmodulated"
+
+
+def _motion(capture: Capture) -> Iterator[tuple[str, str]]:
+    """Motion, and that it is not seen where all taps are taken at once."""
+    import numpy as np
+
+    params = capture.provenance.get("scene_params", capture.provenance)
+    if not any(np.any(params.get(name, 0.0)) for name in ("velocity", "velocity_mps")):
+        return
+    if capture.sensor.timing.tap_interval_s > 0:
+        yield "motion", "taps see the scene at their own times; truth is that of the first"
+    else:
+        cure = "--sensor NAME:tap_interval_s=0.001 spreads them"
+        yield "motion", f"NOT SEEN, as all taps are taken at once; {cure}"
 
 
 def _pixels(capture: Capture) -> str:

@@ -206,6 +206,8 @@ def read_albedos(name: str) -> dict[str, float]:
     ValueError
         If it is no such file.
     """
+    if not Path(name).is_file():
+        raise ValueError(f"got albedos={name}, which is no file; wanted lines such as Walls = 0.7")
     try:
         table = tomllib.loads(read_text(Path(name)))
     except tomllib.TOMLDecodeError as error:

@@ -92,7 +92,7 @@ def load(world: World, *, variant: str = "llvm_ad_mono", merge: bool = True) -> 
         with _one_sentence(mi):
             single = _scene(mi, world, merge=False)
         check_view(mi, single, to_world, world.unit_m)
-    modulated, delay_s = _lamps(scene, world.modulated_s)
+    modulated, delay_s = _lamps(mi, scene, world.modulated_s)
     return Stage(
         scene=scene,
         to_world=to_world,
@@ -208,7 +208,7 @@ def _pose(scene: Any) -> F64:  # noqa: ANN401
     return np.asarray(pose @ TURN)
 
 
-def _lamps(scene: Any, modulated_s: Mapping[str, float]) -> tuple[Bool, F64]:  # noqa: ANN401
+def _lamps(mi: Any, scene: Any, modulated_s: Mapping[str, float]) -> tuple[Bool, F64]:  # noqa: ANN401
     """Which lamps are modulated, and the delay of each; a lamp goes by its shape's id as well."""
     names = [_names(lamp) for lamp in scene.emitters()]
     unknown = set(modulated_s) - set().union(*names)
@@ -218,6 +218,10 @@ def _lamps(scene: Any, modulated_s: Mapping[str, float]) -> tuple[Bool, F64]:  #
         raise ValueError(msg)
     delays = [[modulated_s[n] for n in sorted(own) if n in modulated_s] for own in names]
     modulated = np.array([bool(d) for d in delays], dtype=bool)
+    for lamp, own, lit in zip(scene.emitters(), names, modulated, strict=True):
+        if lit and mi.has_flag(lamp.flags(), mi.EmitterFlags.Infinite):
+            msg = f"got modulated={min(own)}, a lamp without a distance, so its light has no phase"
+            raise ValueError(f"{msg}; wanted a point, a spot or a shape that shines")
     return modulated, np.array([d[0] if d else 0.0 for d in delays], dtype=np.float64)
 
 
