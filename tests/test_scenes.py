@@ -575,3 +575,9 @@ def test_names_of_scenes_need_no_engine():
             "print(*{'mitsuba', 'drjit', 'open3d'} & set(sys.modules))")  # fmt: skip
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == ""
+
+
+@pytest.mark.parametrize("thing", ["cornell", None, [1, 2]])
+def test_what_is_no_dictionary_is_refused_in_one_sentence(thing):
+    with pytest.raises(ValueError, match="wanted a Mitsuba dictionary"):
+        from_dict(thing)

@@ -128,8 +128,13 @@ def from_dict(
     Raises
     ------
     ValueError
-        If a pose, a length or a gain is impossible.
+        If it is no dictionary, or a pose, a length or a gain is impossible.
     """
+    if not isinstance(description, Mapping):
+        msg = (
+            f"got {type(description).__name__}, wanted a Mitsuba dictionary such as {{'ball': ...}}"
+        )
+        raise ValueError(msg)
     entries = {key: value for key, value in description.items() if key != "integrator"}
     return World(
         entries,
