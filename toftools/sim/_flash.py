@@ -17,7 +17,7 @@ from toftools.units import phase_to_range
 Jit = Any
 """A Dr.Jit array; the package has no types."""
 
-_TABLE = 2048  # entries of a resampled beam: a 70 degree cone moves by 0.06 degrees an entry
+_TABLE = 2048  # entries of a resampled beam, 0.09 degrees apart
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Light of a whole image to a tolerance: passes over the tiles that still need them.
 
 Every tile gets four independent passes a round, from which its standard error follows; tiles above
-the tolerance go into the next round with up to four times the paths.
+the tolerance go into the next round, with as many paths as they have had.
 """
 
 import logging
@@ -78,6 +78,8 @@ class Order:
         Paths per pixel; None goes on until `tol_m`.
     tol_m : float
         Standard error of range to reach, m.
+    ambient_bounces : int
+        Bounces of unmodulated light, whose charge does not depend on the tolerance of range.
     max_samples : int
         Paths per pixel at which even a noisy tile is left.
     seed : int
@@ -89,6 +91,7 @@ class Order:
     freqs_hz: F64
     used: Any
     bounces: int
+    ambient_bounces: int
     samples: int | None
     tol_m: float
     max_samples: int
@@ -160,15 +163,17 @@ def _rounds(
 ) -> None:
     """Add rounds of passes until every tile is good enough, or has had the most paths."""
     estimate, least = _estimator(task, order, turn)
-    wanted = PASSES * max(FIRST_PATHS, least) if order.samples is None else order.samples
+    wanted = min(PASSES * max(FIRST_PATHS, least), order.max_samples)
+    wanted = wanted if order.samples is None else order.samples
     active, number = np.ones(len(turn), bool), 0
     while active.any():
         chosen = np.flatnonzero(active)
-        passes = min(PASSES, max(1, wanted // least))
-        paths = least * max(1, round(wanted / (passes * least)))  # of one pass
-        found = [_pass(estimate, order, turn[chosen], paths, number + i) for i in range(passes)]
-        number += passes
-        _add(sums, chosen, found, paths)
+        sizes = _split(wanted, least)
+        found = [
+            _pass(estimate, order, turn[chosen], paths, number + i) for i, paths in enumerate(sizes)
+        ]
+        number += len(sizes)
+        _add(sums, chosen, found, sizes)
         total = direct + sums.parts.sum(axis=0) / np.maximum(sums.samples, 1)
         _judge(sums, chosen, found, total[order.used], order, tiles)
         most = int(sums.samples[chosen].max())
@@ -177,6 +182,19 @@ def _rounds(
             return
         active &= ~(sums.error_m <= order.tol_m) & (sums.samples < order.max_samples)
         wanted = most  # doubles what there is
+
+
+def _split(wanted: int, least: int) -> list[int]:
+    """Paths of each pass of a round: nearly alike, every one a multiple of `least`.
+
+    Examples
+    --------
+    >>> _split(10, 1)
+    [3, 3, 2, 2]
+    """
+    units = max(1, round(wanted / least))
+    passes = min(PASSES, units)
+    return [least * (units // passes + (i < units % passes)) for i in range(passes)]
 
 
 def _tell(paths: int, active: Any, error_m: F64) -> None:  # noqa: ANN401
@@ -224,7 +242,11 @@ def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
     """Light of unmodulated lamps by way of surfaces, from `AMBIENT_PATHS` paths a pixel."""
     dark, inside = task.without_flashes(), order.side**2
     each = inside * max(1, AMBIENT_PATHS // inside)
-    settings: dict[str, Any] = {"inside": inside, "bounces": order.bounces, "samples": each}
+    settings: dict[str, Any] = {
+        "inside": inside,
+        "bounces": order.ambient_bounces,
+        "samples": each,
+    }
 
     def light(directions: F64, place: int) -> Light:
         first, seed = first_hits(dark, directions), order.seed ^ (place + 1)
@@ -233,8 +255,8 @@ def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
     return in_parts(order.camera, turn, order.side, light).ambient
 
 
-def _add(sums: _Sums, chosen: Any, found: list[Light], paths: int) -> None:  # noqa: ANN401
-    for light in found:
+def _add(sums: _Sums, chosen: Any, found: list[Light], sizes: list[int]) -> None:  # noqa: ANN401
+    for light, paths in zip(found, sizes, strict=True):
         stacked = np.stack([light.direct, light.one_bounce, light.rest])
         sums.parts[:, :, chosen] += paths * stacked
         sums.ambient[chosen] += paths * light.ambient

@@ -43,6 +43,9 @@ from toftools.types import C64, F32, F64, Capture, Scene, Sensor, Shot, Taps, Tr
 
 log = logging.getLogger(__name__)
 
+AMBIENT_BOUNCES = 12
+"""Bounces of unmodulated light at the least: at albedo 0.7, 1 % of it bounces on."""
+
 
 def path(
     scene: Scene | World, *, antialias: int = 1, max_samples: int = 4096, gpu: bool = False
@@ -59,7 +62,7 @@ def path(
     max_samples : int
         Paths per pixel at which a tile is left even above the tolerance.
     gpu : bool
-        Trace on an NVIDIA GPU.
+        Trace on an NVIDIA GPU (same kernels, built by CUDA; not covered by tests).
 
     Returns
     -------
@@ -79,6 +82,12 @@ def path(
         msg = f"max_samples must be 1 or more, got {max_samples}"
         raise ValueError(msg)
     variant = "cuda_ad_mono" if gpu else "llvm_ad_mono"
+    if not isinstance(scene, Scene | World):
+        msg = (
+            f"path got a {type(scene).__name__}, wanted a Scene or a World; a Mitsuba dictionary "
+            "becomes one by toftools.sim.scenes.from_dict"
+        )
+        raise ValueError(msg)
     world = world_of(scene) if isinstance(scene, Scene) else scene
     name: dict[str, Any] = {}
     if isinstance(scene, Scene):  # parameters apart: the seed of a room is not that of its noise
@@ -136,6 +145,7 @@ def _expose(
         freqs_hz=freqs_hz,
         used=np.searchsorted(freqs_hz, sensor.modulation.freqs_hz),
         bounces=depth.bounces,
+        ambient_bounces=max(depth.bounces, AMBIENT_BOUNCES if shot.max_bounces is None else 0),
         samples=shot.samples,
         tol_m=shot.tol_m,
         max_samples=max_samples,
