@@ -23,7 +23,7 @@ def test_no_more_paths_than_allowed():
 
 
 def test_a_dictionary_is_refused_with_advice():
-    with pytest.raises(ValueError, match=r"path got a dict, wanted a Scene or a World; .*from_dict"):
+    with pytest.raises(ValueError, match=r"path got a dict, wanted a Scene .*from_dict"):
         path({"type": "scene"})
 
 
