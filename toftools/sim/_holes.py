@@ -79,8 +79,9 @@ def share_seen(mi: Any, scene: Any, si: Jit, place: Jit, active: Jit) -> Jit:  #
     import drjit as dr
 
     ray = si.spawn_ray_to(place)
+    blocked = scene.ray_test(ray, active)
     if not has_holes(mi, scene):
-        return dr.select(scene.ray_test(ray, active), 0.0, 1.0)
+        return dr.select(blocked, 0.0, 1.0)
 
     def body(going: Jit, ray: Jit, share: Jit, passed: Jit) -> tuple[Jit, ...]:
         hit = scene.ray_intersect(ray, going)
@@ -89,5 +90,6 @@ def share_seen(mi: Any, scene: Any, si: Jit, place: Jit, active: Jit) -> Jit:  #
         going = met & (share > 0) & (passed < MAX_PASSED)
         return going, dr.select(going, hit.spawn_ray_to(place), ray), share, passed + 1
 
-    state = (active, ray, dr.full(mi.Float, 1, dr.width(si.t)), mi.UInt32(0))
+    # Only what something blocks needs a closer look.
+    state = (active & blocked, ray, dr.full(mi.Float, 1, dr.width(si.t)), mi.UInt32(0))
     return dr.while_loop(state, lambda going, *_: going, body)[2]

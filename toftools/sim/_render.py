@@ -169,9 +169,7 @@ def _rounds(
     while active.any():
         chosen = np.flatnonzero(active)
         sizes = _split(wanted, least)
-        found = [
-            _pass(estimate, order, turn[chosen], paths, number + i) for i, paths in enumerate(sizes)
-        ]
+        found = _passes(estimate, order, turn[chosen], sizes, number)
         number += len(sizes)
         _add(sums, chosen, found, sizes)
         total = direct + sums.parts.sum(axis=0) / np.maximum(sums.samples, 1)
@@ -214,28 +212,26 @@ def _estimator(task: Task, order: Order, turn: Any) -> tuple[Callable[..., Light
     return partial(own_light, task), order.side**2
 
 
-def _pass(
+def _passes(
     estimate: Callable[..., Light],
     order: Order,
     pixels: Any,  # noqa: ANN401
-    paths: int,
+    sizes: list[int],
     number: int,
-) -> Light:
-    """One independent estimate of some pixels."""
+) -> list[Light]:
+    """Independent estimates of some pixels, with paths of given numbers."""
     task: Task = estimate.args[0]  # type: ignore[attr-defined]  # a partial
 
-    def light(directions: F64, place: int) -> Light:
-        seed = (order.seed * 0x10001 + number) * 0x3D4D51CB + place  # another one for every part
-        return estimate(
-            first_hits(task, directions),
-            order.freqs_hz,
-            inside=order.side**2,
-            bounces=order.bounces,
-            samples=paths,
-            seed=seed,
-        )
+    def lights(directions: F64, place: int) -> list[Light]:
+        first = first_hits(task, directions)
+        settings: dict[str, Any] = {"inside": order.side**2, "bounces": order.bounces}
+        roots = [(order.seed * 0x10001 + number + i) * 0x3D4D51CB for i in range(len(sizes))]
+        return [  # another seed for every part and pass
+            estimate(first, order.freqs_hz, samples=paths, seed=root + place, **settings)
+            for root, paths in zip(roots, sizes, strict=True)
+        ]
 
-    return in_parts(order.camera, pixels, order.side, light)
+    return in_parts(order.camera, pixels, order.side, lights)
 
 
 def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
@@ -248,11 +244,12 @@ def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
         "samples": each,
     }
 
-    def light(directions: F64, place: int) -> Light:
+    def light(directions: F64, place: int) -> list[Light]:
         first, seed = first_hits(dark, directions), order.seed ^ (place + 1)
-        return own_light(dark, first, np.zeros(1), seed=seed, **settings)
+        return [own_light(dark, first, np.zeros(1), seed=seed, **settings)]
 
-    return in_parts(order.camera, turn, order.side, light).ambient
+    [found] = in_parts(order.camera, turn, order.side, light)
+    return found.ambient
 
 
 def _add(sums: _Sums, chosen: Any, found: list[Light], sizes: list[int]) -> None:  # noqa: ANN401

@@ -48,8 +48,8 @@ def in_parts(
     camera: Camera,
     pixels: Any,  # noqa: ANN401
     side: int,
-    light: Callable[[F64, int], Light],
-) -> Light:
+    lights: Callable[[F64, int], list[Light]],
+) -> list[Light]:
     """Light of pixels, a bounded number of lanes at a time.
 
     Parameters
@@ -60,22 +60,25 @@ def in_parts(
         Pixels by number.
     side : int
         Points along each side of a pixel.
-    light : callable
+    lights : callable
         Directions (N * side * side, 3), and the place of the first of these pixels in the list,
-        to the light of N pixels.
+        to the light of N pixels, as many times over as there are estimates of it.
 
     Returns
     -------
-    Light
-        Of all of them.
+    list of Light
+        Every estimate, of all pixels.
     """
     step = max(1, MAX_LANES // side**2)
-    done = []
-    for start in range(0, len(pixels), step):
-        directions = views(camera, pixels[start : start + step], side)
-        done.append(light(directions.reshape(-1, 3), start))
+    done = [
+        lights(views(camera, pixels[start : start + step], side).reshape(-1, 3), start)
+        for start in range(0, len(pixels), step)
+    ]
     names = ("direct", "one_bounce", "rest", "ambient")
-    return Light(*(np.concatenate([getattr(x, n) for x in done], axis=-1) for n in names))
+    return [
+        Light(*(np.concatenate([getattr(x, n) for x in parts], axis=-1) for n in names))
+        for parts in zip(*done, strict=True)
+    ]
 
 
 def averaged(light: Light, inside: int) -> Light:
@@ -120,23 +123,23 @@ def direct_of_pixels(task: Task, camera: Camera, pixels: Any, side: int, freqs_h
     """
     unlike = np.zeros(len(pixels), bool)
 
-    def light(directions: F64, start: int) -> Light:
+    def light(directions: F64, start: int) -> list[Light]:
         points = direct_light(task, first_hits(task, directions), freqs_hz)
         mean = averaged(points, side**2)
         spread = np.abs(points.direct.reshape(len(freqs_hz), -1, side**2) - mean.direct[..., None])
         limit = UNLIKE * np.abs(mean.direct)
         unlike[start : start + mean.direct.shape[1]] = (spread.max(axis=-1) > limit).any(axis=0)
-        return mean
+        return [mean]
 
-    coarse = in_parts(camera, pixels, side, light)
+    [coarse] = in_parts(camera, pixels, side, light)
     if side == 1 or not unlike.any():
         return coarse
 
-    def fine_light(directions: F64, _start: int) -> Light:
+    def fine_light(directions: F64, _start: int) -> list[Light]:
         points = direct_light(task, first_hits(task, directions), freqs_hz)
-        return averaged(points, (FINER * side) ** 2)
+        return [averaged(points, (FINER * side) ** 2)]
 
-    fine = in_parts(camera, pixels[unlike], FINER * side, fine_light)
+    [fine] = in_parts(camera, pixels[unlike], FINER * side, fine_light)
     for name in ("direct", "ambient"):
         getattr(coarse, name)[..., unlike] = getattr(fine, name)
     return coarse
