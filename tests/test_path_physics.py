@@ -403,6 +403,16 @@ def test_size_and_frequency_scale_together():
     assert np.median(turned) < 1e-5 and np.quantile(turned, 0.9) < 1e-3
 
 
+def test_a_lamp_is_as_bright_at_any_size():
+    device, slow = (ideal(8, 6, f, emitters=(DARK,)) for f in ((40e6, 100e6), (10e6, 25e6)))
+    lit = world("disc", radius=0.5, radiance=1.0)
+    near, far = (
+        phasors(shots(w, s, [3], samples=16, max_bounces=2))
+        for w, s in ((lit, device), (replace(lit, unit_m=4.0), slow))
+    )
+    assert np.abs(near - far).max() < 1e-6 * np.abs(near).max()
+
+
 def test_the_place_of_the_world_does_not_matter():
     """The same corner 100 m from the origin: rays must not lose length where they start."""
     device, here = ideal(8, 6), world("corner")
