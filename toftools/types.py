@@ -143,7 +143,7 @@ class Truth:
     normals : ndarray, (H, W, 3), or None
         Surface normals in the camera frame, towards the camera, float32.
     albedo : ndarray, (H, W), or None
-        Diffuse albedo at the modulated wavelength, float32.
+        Diffuse albedo at the modulated wavelength, float32; NaN where none is defined.
     """
 
     range_m: F32

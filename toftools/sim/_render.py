@@ -22,8 +22,8 @@ from toftools.types import F64, Camera
 log = logging.getLogger(__name__)
 
 TILE = 16
-BLOCK = 4
-"""Side of the blocks of pixels that share paths, `GROUP` in all."""
+BLOCK = (4, 8)
+"""Rows and columns of the blocks of pixels that share paths, `GROUP` in all."""
 PASSES = 4
 FIRST_PATHS = 4
 PILOT = 1024
@@ -290,5 +290,5 @@ def _tiles(height: int, width: int) -> tuple[Any, Any]:
     """Tile of every pixel in the order of work, and that order: tiles, and small blocks in them."""
     row, column = (axis.ravel() for axis in np.mgrid[0:height, 0:width])
     tile = row // TILE * (-(-width // TILE)) + column // TILE
-    turn = np.lexsort((column, row, column // BLOCK, row // BLOCK, tile))
+    turn = np.lexsort((column, row, column // BLOCK[1], row // BLOCK[0], tile))
     return tile[turn], turn

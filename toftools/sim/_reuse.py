@@ -3,7 +3,7 @@
 Every pixel of a group draws a second surface point and finds the light that arrives there, of all
 further bounces. Each pixel then connects its own first surface to the second points of the whole
 group, weighted by the balance heuristic over the pixels that could have drawn them, visibility
-included: unbiased whatever the group. Sixteen paths for the price of about two, where neighbours
+included: unbiased whatever the group. Thirty-two paths for the price of a few, where neighbours
 look alike; at depth edges the weights see that they do not. Second points that do not scatter
 alike in all directions, and those reached by way of a mirror or glass, stay with their own pixel.
 
@@ -31,7 +31,7 @@ from toftools.sim._tracer import Draw, Path, lane_keys, walk
 from toftools.sim._views import own_light
 from toftools.types import F64
 
-GROUP = 16
+GROUP = 32
 """Pixels that share their paths; at most 32, one bit of visibility each."""
 WALKS = 4
 """Paths that go on from every second point, since connecting it costs more than they do."""

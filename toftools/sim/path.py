@@ -190,7 +190,8 @@ def _truth(sensor: Sensor, frame: _Frame) -> Truth:
         for name in ("direct", "one_bounce", "rest")
     }
     normals = np.where(hit[:, None], normals * facing, np.nan).reshape(*shape, 3)
-    albedo = np.where(hit, albedo, np.nan).reshape(shape)
+    # Mitsuba's diffuse reflectance of a metal is its highlight, which has no bound.
+    albedo = np.where(hit & (albedo < 1.001), albedo, np.nan).reshape(shape)
     return Truth(_f32(range_m.reshape(shape)), **parts, normals=_f32(normals), albedo=_f32(albedo))
 
 
