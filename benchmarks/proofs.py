@@ -2,7 +2,7 @@
 
 python benchmarks/proofs.py [--out PAGE]
 
-Runs the physics tests of the engine with as many seeds as a relative error of 1e-3 takes (3 to 4
+Runs the physics tests of the engine with as many seeds as a relative error of 1e-3 takes (about 3
 minutes on two cores), collects the figures that they record, and writes them down. A test that
 fails leaves the page as it was and gives exit code 1.
 """
