@@ -40,6 +40,7 @@ clean:
 # Docs that come out of code; RESULTS=DIR takes over a finished run's results first.
 docs: install
 	$(BIN)/python benchmarks/long_range.py --out docs/long_range
+	$(BIN)/python benchmarks/proofs.py
 	$(BIN)/python benchmarks/make_docs.py --pictures $(if $(RESULTS),--results $(RESULTS))
 
 # Milliseconds of the kernels beside their readable twins (pytest-benchmark).
