@@ -28,14 +28,13 @@ from toftools.sim._phasors import (
 from toftools.sim._second import Found, Mine, Points, facing, geometry, scatters_alike, up_of
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.sim._tracer import Draw, Path, lane_keys, walk
-from toftools.sim._views import own_light
+from toftools.sim._views import MAX_LANES, own_light
 from toftools.types import F64
 
 GROUP = 32
 """Pixels that share their paths; at most 32, one bit of visibility each."""
 WALKS = 4
 """Paths that go on from every second point, since connecting it costs more than they do."""
-MAX_LANES = 1 << 20
 
 
 def shared_light(
