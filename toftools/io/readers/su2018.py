@@ -2,8 +2,9 @@
 
 Layout: MATLAB v5, key ``im_pair`` (5, H, 2 W). Left half, channels 0..3 in [0, 1]: I40, I70, Q40,
 Q70, each mapped by 2x - 1 (both I first); channel 4: 40 MHz amplitude scaled to [0, 1]. Right half:
-distance / 10 m, repeated in all channels. The phasors are normalised per pixel, so their length
-carries no signal strength; the amplitude goes to ``depth.amplitude``. A file
+distance / 10 m, repeated in all channels. The phasors are normalised per pixel at every frequency.
+Both are multiplied by that amplitude here (it is linear in light: times range^2 it is flat over
+walls), which also goes to ``depth.amplitude``; how their lengths differ is lost. A file
 ``tofnet_output_<suffix>.mat`` (key ``x``, (1, H, W), distance / 10 m) beside it is the authors'
 network output; it becomes ``reported["tofnet"]``, and alone it is a depth capture.
 Convention: z = I + jQ, phase grows with range, offsets already calibrated out, distance radial.
@@ -33,6 +34,8 @@ from toftools.io.readers._mat5 import first_name, read_array
 from toftools.types import Capture, DepthMap, Modulation, Phasors, Sensor, Truth
 
 QUANTUM_M = 0.02
+LEAST_AMPLITUDE = 1e-3
+"""A pixel of amplitude zero keeps its phase: the channel is normalised to the brightest pixel."""
 _CHANNELS = 5
 _LIMIT = 1 << 27
 
@@ -120,6 +123,7 @@ def _image_pair(
     signal = 2.0 * np.where(finite, left, 0.5)[:4] - 1.0  # a lost channel gives a zero phasor
     z = signal[:2] + 1j * signal[2:]
     valid = finite.all(axis=0) & (np.abs(z) > 0).all(axis=0)
+    z *= np.maximum(np.where(finite[4], left[4], 0.0), LEAST_AMPLITUDE)
     range_m = metres(distance, scale_m, 0.0)
     meaning = _meaning(range_m) if right == "auto" else right
     sensor, camera_note = _sensor(width, pair.shape[1], freqs)
@@ -140,12 +144,12 @@ def _image_pair(
             "file": path.name,
             "camera": camera_note,
             "convention": {
-                "phasor": "z = I + jQ, unit length; channels I40 I70 Q40 Q70",
+                "phasor": "z = amplitude (I + jQ), unit I + jQ; channels I40 I70 Q40 Q70",
                 "offset_m": 0.0,
                 "distance": "radial",
                 "right": meaning,
                 "right_decided_by": "2 cm steps" if right == "auto" else "caller",
-                "amplitude": "40 MHz, scaled to 0..1, in depth.amplitude",
+                "amplitude": "40 MHz, scaled to 0..1, for both frequencies",
             },
         },
     )
