@@ -29,6 +29,7 @@ SENSORS = {
     "kde": (TWO, THREE),
     "sra": (TWO,),
     "sra_lp": (TWO,),
+    "gupta2015": ("phasor_imaging" + SIZE,),
 }
 CASES = [(name, text) for name in CORRECTIONS for text in SENSORS.get(name, (TWO,))]
 NEEDS_SEVERAL = [name for name in CORRECTIONS if ONE not in SENSORS.get(name, (TWO,))]

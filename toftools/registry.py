@@ -186,6 +186,7 @@ CORRECTIONS = _table(
         "toftools.correct.sra:sra", grid={"max_range_m": (4.0, 0.0), "first_share": (0.01, 0.05)}
     ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
+    gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
 )
 METRICS = _table(
     bias_m=Spec("toftools.metrics.error:bias_m", unit="m", better="zero"),

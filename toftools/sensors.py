@@ -76,6 +76,17 @@ def _longrange() -> Sensor:
     )
 
 
+def _phasor_imaging() -> Sensor:
+    # Differences of 10, 90 and 100 MHz: 15 m without ambiguity, no step above a ratio of 11.
+    camera = pinhole(160, 120, hfov_deg=60)
+    return Sensor(camera, Modulation(np.array([1000e6, 1010e6, 1100e6])), ASSUMED_NOISE)
+
+
+def _heide2013() -> Sensor:
+    camera = pinhole(160, 120, hfov_deg=60)
+    return Sensor(camera, Modulation(np.linspace(10e6, 120e6, 221)), ASSUMED_NOISE)
+
+
 PRESETS: Mapping[str, Callable[[], Sensor]] = MappingProxyType(
     {
         "kinect2": _kinect2,
@@ -85,6 +96,8 @@ PRESETS: Mapping[str, Callable[[], Sensor]] = MappingProxyType(
         "adtf3175": _adtf3175,
         "pmd": _pmd,
         "deeptof": _deeptof,
+        "phasor_imaging": _phasor_imaging,
+        "heide2013": _heide2013,
     }
 )
 """Preset name to the function that makes it."""
@@ -105,6 +118,12 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         "assumed",
         "deeptof": "256x256, 20 MHz: Marco et al., DeepToF, SIGGRAPH Asia 2017; field of view "
         "assumed",
+        "phasor_imaging": "about 1 GHz: Gupta et al., Phasor Imaging, ACM TOG 2015 (order of "
+        "magnitude recalled); the spacing of the frequencies is ours, pixels and optics assumed: "
+        "no area sensor of the kind is known",
+        "heide2013": "221 frequencies: calibration data named in the code released with Heide et "
+        "al., SIGGRAPH 2013; 10..120 MHz, hence steps of 0.5 MHz, recalled; 160x120 is a small "
+        "PMD, its field of view assumed",
     }
 )
 """Where the figures of each preset come from."""
