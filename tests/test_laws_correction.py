@@ -29,7 +29,10 @@ SENSORS = {
     "kde": (TWO, THREE),
     "sra": (TWO,),
     "sra_lp": (TWO,),
+    "two_returns": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
     "gupta2015": ("phasor_imaging" + SIZE,),
+    "godbaz2012_ratio": ("deeptof:freqs=20e6+40e6" + SIZE.replace(":", ","),),
+    "godbaz2012_cauchy": ("deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),),
 }
 CASES = [(name, text) for name in CORRECTIONS for text in SENSORS.get(name, (TWO,))]
 NEEDS_SEVERAL = [name for name in CORRECTIONS if ONE not in SENSORS.get(name, (TWO,))]

@@ -34,6 +34,8 @@ class Spec:
         Unit of a metric; empty for a plain number.
     better : str
         Of a metric: ``lower``, ``higher`` or ``zero``.
+    place : str
+        Of a filter: ``before`` or ``after`` the correction.
     """
 
     target: str
@@ -42,6 +44,7 @@ class Spec:
     name: str = ""
     unit: str = ""
     better: str = ""
+    place: str = ""
 
     def load(self) -> Callable[..., Any]:
         """Import the factory.
@@ -187,7 +190,26 @@ CORRECTIONS = _table(
     ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
+    godbaz2012_ratio=Spec(
+        "toftools.correct.godbaz2012_ratio:godbaz2012_ratio",
+        grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
+    ),
+    godbaz2012_cauchy=Spec(
+        "toftools.correct.godbaz2012_cauchy:godbaz2012_cauchy",
+        grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
+    ),
+    two_returns=Spec(
+        "toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}
+    ),
 )
+FILTERS = _table(
+    smooth=Spec("toftools.filter.smooth:smooth", grid={"radius_px": (1, 2, 3)}, place="before"),
+    flying_pixels=Spec(
+        "toftools.filter.flying_pixels:flying_pixels", grid={"reach_px": (1, 2)}, place="after"
+    ),
+)
+"""Steps around a correction: ``run(Phasors) -> Phasors`` before it, ``run(DepthMap, Phasors) ->
+DepthMap`` after it; `toftools.chain` joins them."""
 METRICS = _table(
     bias_m=Spec("toftools.metrics.error:bias_m", unit="m", better="zero"),
     mae_m=Spec("toftools.metrics.error:mae_m", unit="m", better="lower"),
