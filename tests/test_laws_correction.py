@@ -31,6 +31,7 @@ SENSORS = {
     "sra_lp": (TWO,),
     "two_returns": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
     "gupta2015": ("phasor_imaging" + SIZE,),
+    "dorrington2011": (TWO, THREE),
     "godbaz2012_ratio": ("deeptof:freqs=20e6+40e6" + SIZE.replace(":", ","),),
     "godbaz2012_cauchy": ("deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),),
 }

@@ -190,6 +190,10 @@ CORRECTIONS = _table(
     ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
+    dorrington2011=Spec(
+        "toftools.correct.dorrington2011:dorrington2011",
+        grid={"starts": (2, 4, 10), "max_extra_m": (1.5, 2.5)},
+    ),
     godbaz2012_ratio=Spec(
         "toftools.correct.godbaz2012_ratio:godbaz2012_ratio",
         grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
@@ -205,7 +209,7 @@ CORRECTIONS = _table(
 FILTERS = _table(
     smooth=Spec("toftools.filter.smooth:smooth", grid={"radius_px": (1, 2, 3)}, place="before"),
     flying_pixels=Spec(
-        "toftools.filter.flying_pixels:flying_pixels", grid={"reach_px": (1, 2)}, place="after"
+        "toftools.filter.flying_pixels:flying_pixels", grid={"least_neighbours": (2, 3, 4)}, place="after"
     ),
 )
 """Steps around a correction: ``run(Phasors) -> Phasors`` before it, ``run(DepthMap, Phasors) ->
