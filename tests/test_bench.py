@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toftools.bench.methods import points
 from toftools.bench.plan import Point, make_plan, read_plan
 from toftools.bench.references import oracle_wrap, reported
 from toftools.bench.render import markdown_table, text_table
 from toftools.bench.run import Settings, is_finished, only_run, read_result, run_points
 from toftools.bench.score import read_rows, reference_of, score, uncorrected
-from toftools.bench.suite import built_in, load_suite, points
+from toftools.bench.suite import built_in, load_suite
 from toftools.bench.table import groups, label_of, summarise, unsuited
 from toftools.io.native import read_capture, write_capture
 from toftools.sensors import sensor
@@ -365,7 +366,7 @@ def test_built_in_suites_load_and_name_known_methods():
     for name in built_in():
         suite = load_suite(name)
         for method in suite.methods:
-            assert points(suite, method)
+            assert points(method, suite.grid)
 
 
 @pytest.mark.parametrize(

@@ -202,14 +202,14 @@ CORRECTIONS = _table(
         "toftools.correct.godbaz2012_cauchy:godbaz2012_cauchy",
         grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
     ),
-    two_returns=Spec(
-        "toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}
-    ),
+    two_returns=Spec("toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}),
 )
 FILTERS = _table(
     smooth=Spec("toftools.filter.smooth:smooth", grid={"radius_px": (1, 2, 3)}, place="before"),
     flying_pixels=Spec(
-        "toftools.filter.flying_pixels:flying_pixels", grid={"least_neighbours": (2, 3, 4)}, place="after"
+        "toftools.filter.flying_pixels:flying_pixels",
+        grid={"least_neighbours": (2, 3, 4)},
+        place="after",
     ),
 )
 """Steps around a correction: ``run(Phasors) -> Phasors`` before it, ``run(DepthMap, Phasors) ->

@@ -98,13 +98,13 @@ def capture_digest(capture: Capture) -> str:
     return digest(*parts, *(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 
-def point_fingerprint(target: str, *, repeats: int, threads: int) -> str:
+def point_fingerprint(*targets: str, repeats: int, threads: int) -> str:
     """What a point's stored result must match to be kept.
 
     Parameters
     ----------
-    target : str
-        ``module:function`` of the method.
+    *targets : str
+        ``module:function`` of the method, or of every step of a chain.
     repeats, threads : int
         Timed calls, and threads the method may use.
 
@@ -113,4 +113,4 @@ def point_fingerprint(target: str, *, repeats: int, threads: int) -> str:
     str
         Digest; the capture and the parameters are in the point's key.
     """
-    return digest(package_digest(), method_digest(target), repeats, threads)
+    return digest(package_digest(), *map(method_digest, targets), repeats, threads)

@@ -15,14 +15,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from toftools._params import checked_params
 from toftools.bench.fingerprint import capture_digest, digest, package_digest
+from toftools.bench.methods import check_method, points
 from toftools.bench.references import REFERENCES
-from toftools.bench.suite import Source, Suite, expand, points, spec_of
+from toftools.bench.suite import Source, Suite, expand
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture, write_capture
 from toftools.io.open import open_capture
-from toftools.registry import SIMULATORS, find, parameters_of, parse_entry
+from toftools.registry import SIMULATORS, find, parse_entry
 from toftools.sensors import sensor
 from toftools.sim.choice import choose
 from toftools.types import Capture, Scene, Shot
@@ -39,7 +39,7 @@ class Point:
     capture : str
         Capture id: file stem under ``captures/``.
     method : str
-        Registry name or ``module:function``.
+        Registry name, ``module:function`` or a chain.
     params : mapping
         Parameters of the method.
     """
@@ -118,7 +118,7 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     """
     methods = (*suite.methods, *extra_methods)
     for text in methods:
-        check_method(suite, text)
+        check_method(text, suite.grid)
     make_folders(out)
     captures = [item for source in suite.sources for item in _ingest(source, suite, out)]
     if not captures:
@@ -128,7 +128,7 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
         Point(str(item["id"]), method, params)
         for item in captures
         for text in methods
-        for method, params in points(suite, text)
+        for method, params in points(text, suite.grid)
         if method not in REFERENCES or _applies(method, params, item)
     ]
     plan = list({point.key: point for point in found}.values())  # a setting named twice runs once
@@ -185,27 +185,6 @@ def _applies(method: str, params: Mapping[str, Any], item: Mapping[str, Any]) ->
     if method == "reported":
         return bool(item["reported"]) and params.get("name", "") in ("", *item["reported"])
     return bool(item["truth"]) and int(params.get("freq_index", 0)) < int(item["n_freqs"])
-
-
-def check_method(suite: Suite, text: str) -> None:
-    """Refuse a method that cannot be loaded, or parameters and dials that it does not take.
-
-    Parameters
-    ----------
-    suite : Suite
-        Gives the dials.
-    text : str
-        Method as typed.
-
-    Raises
-    ------
-    ValueError
-        If so: before anything runs, not once per capture.
-    """
-    spec = spec_of(text)
-    known = parameters_of(spec.load())
-    for name, params in points(suite, text):
-        checked_params(name, known, params)
 
 
 def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from toftools.bench.fingerprint import point_fingerprint
+from toftools.bench.methods import is_ours, method_of, specs_of
 from toftools.bench.plan import Point, write_json
-from toftools.bench.suite import spec_of
-from toftools.registry import CORRECTIONS
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -145,8 +144,8 @@ class Settings:
 
     def fingerprint(self, point: Point) -> str:
         """Fingerprint of a point under these settings."""
-        target = spec_of(point.method).target
-        return point_fingerprint(target, repeats=self.repeats, threads=self.threads)
+        targets = [spec.target for spec in specs_of(method_of(point.method))]
+        return point_fingerprint(*targets, repeats=self.repeats, threads=self.threads)
 
 
 def run_points(
@@ -180,7 +179,7 @@ def run_points(
     for point in points:
         status = "kept"
         if not is_finished(out, point, settings.fingerprint(point)):
-            if point.method in CORRECTIONS and point.method not in primed:
+            if point.method not in primed and is_ours(method_of(point.method)):
                 primed.add(point.method)
                 _prime(point, out, settings)
             status = str(_run(point, out, settings)["status"])

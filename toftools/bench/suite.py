@@ -1,6 +1,5 @@
 """A suite: which captures, which methods, which dials; read from TOML and checked once."""
 
-import itertools
 import os
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
@@ -8,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from toftools.bench.references import REFERENCES
-from toftools.registry import CORRECTIONS, SIMULATORS, Spec, find, parse_name
+from toftools.bench.methods import method_of, specs_of
+from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
 _KEYS = ("name", "captures", "scenes", "sensor", "engine", "tol_mm", "methods", "grid", "repeats",
@@ -61,9 +60,9 @@ class Suite:
     sources : tuple of Source
         Captures and scenes.
     methods : tuple of str
-        ``name``, ``name:key=val,...`` or ``mypkg.mine:make``.
+        ``name``, ``name:key=val,...``, ``mypkg.mine:make``, or a chain of such joined by ``>``.
     grid : mapping
-        Method to parameter to values; replaces the registry's grid for that method.
+        Method or filter to parameter to values; replaces the registry's grid.
     repeats : int
         Timed runs per point.
     min_range_m, max_range_m : float
@@ -131,7 +130,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
     if not sources or not methods:
         msg = f"{where} needs methods, and captures or scenes; got {sorted(table)}"
         raise ValueError(msg)
-    names = {spec_of(method).name for method in methods}
+    names = {spec.name for method in methods for spec in specs_of(method_of(method))}
     grid = _table(table, "grid", where)
     _check_keys(grid, names, f"[grid] of {where}")
     mask = _table(table, "mask", where)
@@ -256,43 +255,3 @@ def expand(source: Source, folder: Path) -> list[Path] | None:
     root, pattern = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (
         folder, path)  # fmt: skip
     return sorted(p for p in root.glob(str(pattern)) if p.is_file() and not p.name.startswith("."))
-
-
-def spec_of(text: str) -> Spec:
-    """Spec of a method or of a reference row.
-
-    Parameters
-    ----------
-    text : str
-        As typed in a suite.
-
-    Returns
-    -------
-    Spec
-        Entry with the typed parameters fixed.
-    """
-    name = parse_name(text)[0]
-    return find(REFERENCES if name in REFERENCES else CORRECTIONS, text)
-
-
-def points(suite: Suite, text: str) -> list[tuple[str, dict[str, Any]]]:
-    """Method name and parameters of every point on one method's curve.
-
-    Parameters
-    ----------
-    suite : Suite
-        Gives grids that replace the registry's.
-    text : str
-        Method as typed; typed parameters make a single point.
-
-    Returns
-    -------
-    list of (str, dict)
-        The grid, or the default point of a method without one.
-    """
-    name, typed = parse_name(text)
-    if typed:
-        return [(name, typed)]
-    grid = suite.grid.get(name, spec_of(text).grid)
-    sweep = [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
-    return [(name, params) for params in (sweep if grid else [{}])]

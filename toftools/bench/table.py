@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.methods import labelled
+
 INPUT = "input (unwrapped, uncorrected)"
 
 
@@ -66,8 +68,7 @@ def label_of(row: Mapping[str, Any]) -> str:
     >>> label_of({"method": "kde", "params": {"window_px": 5}})
     'kde:window_px=5'
     """
-    params = ",".join(f"{key}={value}" for key, value in row["params"].items())
-    return f"{row['method']}:{params}" if params else str(row["method"])
+    return labelled(str(row["method"]), row["params"])
 
 
 def groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.methods import method_of, specs_of
 from toftools.bench.plan import write_json
 from toftools.bench.references import REFERENCES
-from toftools.bench.suite import spec_of
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.phasor import phasors_of
@@ -87,7 +87,7 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
     capture : Capture
         Input.
     method : str
-        Registry name, reference name or ``module:function``.
+        Registry name, reference name, ``module:function`` or a chain.
     params : dict
         Parameters.
     repeats : int
@@ -103,10 +103,11 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
     phasors = phasors_of(capture)
     base_mb = forget_peak()
     start = time.perf_counter()
-    spec = spec_of(method)
-    spec.load()  # a module that cannot be imported is a failure, not a method that does not suit
+    wanted = method_of(method)
+    for spec in specs_of(wanted):
+        spec.load()  # what cannot be imported is a failure, not a method that does not suit
     try:
-        run = spec.build(capture if method in REFERENCES else capture.sensor, **params)
+        run = wanted.build(capture if method in REFERENCES else capture.sensor, **params)
     except ValueError as error:
         # A method looks at the sensor when it is made: this one does not suit it.
         return {"status": "unsuited", "error": " ".join(str(error).split())}

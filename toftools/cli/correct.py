@@ -1,33 +1,52 @@
-"""``toftools correct C.h5 --method NAME[:k=v,...] --out D.npz|.png|.ply|.h5``."""
+"""``toftools correct C.h5 --method NAME[:k=v,...] [--before F] [--after F] --out D.npz|...``."""
 
 import json
 from pathlib import Path
 
 import click
 
-from toftools.registry import CORRECTIONS, READERS
+from toftools.registry import CORRECTIONS, FILTERS, READERS
 
 SUFFIXES = (".npz", ".png", ".ply", ".h5")
 
+
+def _filters(place: str) -> str:
+    return ", ".join(name for name, spec in FILTERS.items() if spec.place == place)
+
+
 EPILOG = f"""Methods: {", ".join(CORRECTIONS)}, or your own function as module:function,
-found in the current folder too. Formats: {", ".join(READERS)}. docs/methods.md
+found in the current folder too. Filters before a method:
+{_filters("before")}; after it: {_filters("after")}. Formats: {", ".join(READERS)}. docs/methods.md
 lists the keys of each, and so does the error about a wrong one.
 
-Example: toftools correct c.h5 --method crt:max_range_m=5 --out answer.npz
+Examples: toftools correct c.h5 --method crt:max_range_m=5 --out answer.npz
+toftools correct c.h5 --before smooth --after flying_pixels --out clean.ply
+toftools correct c.h5 --method "smooth:radius_px=2 > crt" --out answer.npz
 """
 
 
 @click.command(epilog=EPILOG)
 @click.argument("capture_file", type=click.Path(path_type=Path))
 @click.option("--method", default="crt", show_default=True, metavar="NAME[:k=v,...]",
-              help="A registered method, or mypkg.mine:make.")  # fmt: skip
+              help="A registered method, mypkg.mine:make, or a chain: 'smooth > crt'.")  # fmt: skip
+@click.option("--before", multiple=True, metavar="NAME[:k=v,...]",
+              help="Filter of the phasors; repeat for several, in this order.")  # fmt: skip
+@click.option("--after", multiple=True, metavar="NAME[:k=v,...]",
+              help="Filter of the depth map; repeat for several, in this order.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False),
               help="Answer; the suffix chooses: .npz .png (z in mm) .ply .h5")  # fmt: skip
 @click.option("--format", "format_text", default=None, metavar="NAME[:k=v,...]",
               help="Force a foreign input format.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a summary as JSON.")
 def command(
-    *, capture_file: Path, method: str, out: Path, format_text: str | None, as_json: bool
+    *,
+    capture_file: Path,
+    method: str,
+    before: tuple[str, ...],
+    after: tuple[str, ...],
+    out: Path,
+    format_text: str | None,
+    as_json: bool,
 ) -> None:
     """Turn the capture in CAPTURE_FILE into a depth map."""
     import numpy as np
@@ -43,12 +62,12 @@ def command(
         msg = f"got --out {out.name}, which is the input; choose another name"
         raise ValueError(msg)
     capture = open_capture(capture_file, format_text)
-    depth = answered(capture, method)
+    depth = answered(capture, method, before=before, after=after)
     write_answer(out, depth, capture)
     known = np.isfinite(depth.range_m)
     summary = {
         "out": str(out),
-        "method": method,
+        "method": " > ".join([*before, method, *after]),
         "valid_share": float(known.mean()),
         "median_range_m": float(np.median(depth.range_m[known])) if known.any() else None,
         "median_sigma_m": _median(depth.sigma_m),

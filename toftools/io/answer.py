@@ -1,15 +1,18 @@
 """What a capture says about its answer: the amplitude beside a range, a range where it has none."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from toftools.chain import find_method
 from toftools.phasor import phasors_of
-from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, Capture, DepthMap
 
 
-def answered(capture: Capture, method: str) -> DepthMap:
+def answered(
+    capture: Capture, method: str, *, before: Sequence[str] = (), after: Sequence[str] = ()
+) -> DepthMap:
     """Depth map of a method, with the capture's amplitude where the method gives none.
 
     Parameters
@@ -17,7 +20,9 @@ def answered(capture: Capture, method: str) -> DepthMap:
     capture : Capture
         What to correct.
     method : str
-        ``name:key=val,...`` or ``mypkg.mine:make``.
+        ``name:key=val,...``, ``mypkg.mine:make``, or a chain with filters, joined by ``>``.
+    before, after : sequence of str
+        Further steps around it, as `toftools.chain.find_method` takes them.
 
     Returns
     -------
@@ -29,7 +34,8 @@ def answered(capture: Capture, method: str) -> DepthMap:
     ValueError
         If the method is unknown, does not suit the capture, or gives something else.
     """
-    depth: object = find(CORRECTIONS, method).build(capture.sensor)(phasors_of(capture))
+    chosen = find_method(method, before=before, after=after)
+    depth: object = chosen.build(capture.sensor)(phasors_of(capture))
     if not isinstance(depth, DepthMap):
         msg = f"the method {method!r} gave {type(depth).__name__}, wanted a DepthMap"
         raise ValueError(msg)
