@@ -26,6 +26,8 @@ class Optics:
     ----------
     rays : ndarray, (3, H, W)
         Unit viewing directions, float32; zero where no ray belongs to a pixel.
+    steps : ndarray, (4, H, W)
+        Columns and rows per unit of x / z, columns and rows per unit of y / z, float32.
     solid_angle_sr : ndarray, (H, W)
         Solid angle of each pixel, sr, float32.
     flash : ndarray, (F, H, W)
@@ -35,6 +37,7 @@ class Optics:
     """
 
     rays: F32
+    steps: F32
     solid_angle_sr: F32
     flash: F32
     freqs_hz: F64
@@ -97,10 +100,26 @@ def optics(sensor: Sensor, shape: tuple[int, int] | None = None) -> Optics:
             beam += source.strength * np.interp(angle_deg, table[:, 0], table[:, 1], right=0.0)
     return Optics(
         kernel_input(np.moveaxis(way, -1, 0).astype(np.float32)),
+        kernel_input(_steps(camera.K, way).astype(np.float32)),
         kernel_input(_solid_angle_sr(camera.K, way).astype(np.float32)),
         kernel_input((signal[:, None, None] * beam).astype(np.float32)),
         sensor.modulation.freqs_hz,
     )
+
+
+def _steps(K: F64, way: F64) -> F64:
+    """Inverse Jacobian of (x / z, y / z) over columns and rows; (4, H, W)."""
+    height, width = way.shape[:2]
+    if min(height, width) < 3:
+        linear = np.linalg.inv(K[:2, :2])
+        jacobian = np.broadcast_to(linear[:, :, None, None], (2, 2, height, width))
+    else:
+        xy = np.moveaxis(way[..., :2] / np.maximum(way[..., 2:], 1e-3), -1, 0)
+        jacobian = np.stack([np.gradient(xy, axis=2), np.gradient(xy, axis=1)], axis=1)
+    (xu, xv), (yu, yv) = jacobian
+    det = xu * yv - xv * yu
+    det = np.where(np.abs(det) > 1e-12, det, np.inf)
+    return np.stack([yv, -yu, -xv, xu]) / det
 
 
 def _solid_angle_sr(K: F64, way: F64) -> F64:
@@ -132,19 +151,26 @@ def surface(
     Returns
     -------
     Surface
-        Float32. Pixels without a plane (fewer than three known neighbours, or all in one line)
-        face the camera and are not flat.
+        Float32. Pixels that no window with all pixels known holds face the camera and are not
+        flat.
     """
     range_m = np.asarray(range_m, np.float32)
     noise = np.broadcast_to(np.asarray(noise_m, np.float32), range_m.shape)
     shape = range_m.shape
-    given = kernel_input(range_m), kernel_input(noise)
-    planes = np.empty((5, *shape), np.float32)
-    fit(view.rays, *given, reach_px, planes)
+    noise = kernel_input(noise / np.maximum(range_m, np.float32(1e-3)))
+    planes = np.empty((4, *shape), np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse_z = np.where(
+            (range_m > 0) & (view.rays[2] > 0), 1 / (range_m * view.rays[2]), np.nan
+        )
+    fit(kernel_input(inverse_z.astype(np.float32)), noise, reach_px, planes)
     vectors = np.empty((2, 3, *shape), np.float32)
     scalars = np.empty((2, *shape), np.float32)
     masks = np.empty((2, *shape), np.bool_)
-    choose(view.rays, view.solid_angle_sr, *given, reach_px, planes, vectors, scalars, masks)
+    choose(
+        view.rays, view.steps, view.solid_angle_sr, kernel_input(range_m), noise, reach_px, planes,
+        vectors, scalars, masks,
+    )  # fmt: skip
     return Surface(*vectors, *scalars, *masks)
 
 
