@@ -1,12 +1,14 @@
 """Angles of phasors in turns, fast: a polynomial that compilers vectorise, where libm is a call.
 
 Reference: argument reduction by octants is textbook; the coefficients were fitted for this file.
-Inputs: float32 parts of a phasor. Fails nowhere; zero has angle zero, NaN gives NaN.
+Inputs: float32 parts of a phasor. Zero has angle zero, NaN gives NaN. Fails below `LEAST`.
 """
 
 import numpy as np
 from numba import njit
 
+LEAST = np.float32(1e-30)
+"""Phasors whose parts are both smaller have no right angle."""
 # Not the full set: NaN and infinity keep their meaning.
 FAST = {"reassoc", "contract", "arcp", "nsz"}
 # atan(x) / (2 pi x) as a polynomial in x^2 on [0, 1]; least maximum error, fitted for this file:
@@ -21,7 +23,7 @@ ATAN = (
 def turns(re: np.float32, im: np.float32) -> np.float32:
     """Angle of re + j im in [0, 1] turns, float32, without a branch."""
     x, y = abs(re), abs(im)
-    u = min(x, y) / max(max(x, y), np.float32(1e-30))
+    u = min(x, y) / max(max(x, y), LEAST)
     s = u * u
     a = np.float32(ATAN[7])
     a = a * s + np.float32(ATAN[6])

@@ -25,7 +25,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from toftools.correct import INVALID, OK, REJECTED, kernel_input, refuse_emitter_offset, warm_up
-from toftools.correct._turns import FAST, turns
+from toftools.correct._turns import FAST, LEAST, turns
 from toftools.correct._wraps import longest_m
 from toftools.types import F32, DepthMap, Phasors, Sensor
 from toftools.units import TWO_PI, ambiguity_m
@@ -117,7 +117,7 @@ def residual_voting(
             units = amplitude / np.maximum(sigma * np.float32(UNIT_SNR), np.float32(1e-30))
             limit = _limit(units, strict_rad, lax_rad)
             loud = (units.min(axis=0) >= least_amplitude) & (units.sum(axis=0) >= least_sum)
-        valid = phasors.valid & (amplitude > 0).all(axis=0)
+        valid = phasors.valid & (amplitude > 2 * LEAST).all(axis=0)
         kept = valid & loud & (residual <= limit) & (range_m >= 0) & (range_m <= longest)
         status = np.where(
             kept, np.uint8(OK), np.where(valid, np.uint8(REJECTED), np.uint8(INVALID))
@@ -148,7 +148,8 @@ def _sigma_m(
     if sigma is None:
         return None
     # An amplitude of nothing is not kept; the floor only keeps it from overflowing.
-    turns = sigma / np.maximum(amplitude, np.float32(1e-6) * sigma + np.float32(1e-30))
+    with np.errstate(invalid="ignore"):  # nor is one of infinite noise
+        turns = sigma / np.maximum(amplitude, np.float32(1e-6) * sigma + np.float32(1e-30))
     turns /= np.float32(TWO_PI)
     sigma_m = np.sqrt((turns**2).sum(axis=0)) / (1 / ambiguity).sum()
     return np.where(kept, sigma_m, np.float32(np.nan))

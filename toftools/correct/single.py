@@ -70,8 +70,8 @@ def single(sensor: Sensor, *, freq_index: int = 0) -> Callable[[Phasors], DepthM
         sigma_m, confidence = None, amplitude
         if phasors.sigma is not None:
             noise = np.maximum(phasors.sigma[freq_index], np.finfo(np.float32).tiny)
-            confidence = amplitude / noise
-            with np.errstate(divide="ignore"):
+            with np.errstate(divide="ignore", over="ignore"):  # no noise: infinite confidence
+                confidence = amplitude / noise
                 sigma_m = phase_to_range(1 / confidence, freq_hz)
         return DepthMap(
             range_m=np.where(valid, np.minimum(range_m, longest), np.float32(np.nan)),
