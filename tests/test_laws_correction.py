@@ -29,6 +29,7 @@ SENSORS = {
     "kde": (TWO, THREE),
     "sra": (TWO,),
     "sra_lp": (TWO,),
+    "semi_global": (TWO, THREE),
     "two_returns": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
     "gupta2015": ("phasor_imaging" + SIZE,),
     "dorrington2011": (TWO, THREE),
@@ -44,7 +45,10 @@ GRID_M = {"sra": 0.005, "sra_lp": 0.005}
 FALSE_RETURNS = "noise makes small false returns and the first wins (its header gives the rates)"
 MEDIAN_ONLY = {"sra": FALSE_RETURNS, "sra_lp": FALSE_RETURNS}
 SLOW = {"sra_lp": "a linear program per pixel, tens of milliseconds each"}
-SPATIAL = {"kde": "the window's neighbours decide: only mirroring the image commutes"}
+SPATIAL = {
+    "kde": "the window's neighbours decide: only mirroring the image commutes",
+    "semi_global": "neighbours along paths decide: only mirroring the image commutes",
+}
 
 each_case = pytest.mark.parametrize(("name", "text"), CASES, ids=lambda v: str(v).split(":")[0])
 each_entry = pytest.mark.parametrize("name", CORRECTIONS)

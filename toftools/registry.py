@@ -192,7 +192,7 @@ CORRECTIONS = _table(
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
     dorrington2011=Spec(
         "toftools.correct.dorrington2011:dorrington2011",
-        grid={"starts": (2, 4, 10), "max_extra_m": (1.5, 2.5)},
+        grid={"starts": (1, 2, 4, 8), "max_extra_m": (1.5, 2.5)},
     ),
     godbaz2012_ratio=Spec(
         "toftools.correct.godbaz2012_ratio:godbaz2012_ratio",
@@ -202,6 +202,7 @@ CORRECTIONS = _table(
         "toftools.correct.godbaz2012_cauchy:godbaz2012_cauchy",
         grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
     ),
+    semi_global=Spec("toftools.correct.semi_global:semi_global", grid={"jump": (0.0, 2.0, 8.0)}),
     two_returns=Spec("toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}),
 )
 FILTERS = _table(

@@ -1,0 +1,263 @@
+"""Unwrapping by smoothness along paths through the image, with what multipath does to wraps.
+
+Per pixel the most likely wrap hypotheses (`_wraps`) compete. Each costs half of
+
+    chi^2 / (1 + m^2 snr^2) + (max(albedo - 1.1, 0) / 0.15)^2
+
+and neighbours of different range cost ``jump min(|d - d'| / 1 m, 1)``; the hypothesis of least cost
+summed over eight straight paths is the answer (dynamic programming along each path). Two facts
+about indirect light enter. It makes lower frequencies read longer than higher ones, so the model
+error m is 1 rad for hypotheses whose residuals lean that way and 0.15 rad for the others: plain
+unwrapping instead prefers whatever residual is smallest, and jumps by metres in dark corners. And
+no surface is brighter than white: the albedo that a hypothesis needs, ``|z| range^2 / flash``,
+rules out those too far away.
+
+Reference: the summation over paths is H. Hirschmüller, "Stereo processing by semi-global matching
+and mutual information", IEEE TPAMI 30 (2008) 328-341, equation 13; hypotheses, costs and the
+one-sided model error are ours. Input: two or more frequencies; amplitudes in the unit of the
+sensor's radiometry (`Noise.signal_e`, contrast) or much weaker, which leaves the albedo out, as
+does a frame whose clear pixels are brighter than white. Fails where a region borders no surface of
+the same range (then chi^2 alone decides), and on bright mirrors and retroreflectors.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from toftools.correct import INVALID, OK, kernel_input, refuse_emitter_offset, warm_up
+from toftools.correct._scene import optics
+from toftools.correct._wraps import Candidates, plan, search
+from toftools.types import C64, F32, Bool, DepthMap, Phasors, Sensor
+from toftools.units import TWO_PI, range_to_phase
+
+I64 = NDArray[np.int64]
+
+HYPOTHESES = 5
+WHITE, WHITE_SPREAD = np.float32(1.1), np.float32(0.15)
+"""Albedo from which a hypothesis becomes dearer, and by how much more it costs half a chi^2."""
+LONE_CHI2, LONE_RAD2 = (6.0, 30.0), (4e-4, 1e-2)
+"""A range is undisputed if its residual is below the first figure and the next one's above the
+second: chi^2, or rad^2 where the noise is unknown."""
+LEAST_ERROR_RAD = np.float32(0.15)
+"""Model error where the residuals are not those of multipath: calibration, mixed pixels."""
+DEAREST = np.float32(20.0)
+"""No hypothesis costs more: a whole neighbourhood can overrule any pixel."""
+FAR_M = np.float32(1e6)
+PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+def semi_global(
+    sensor: Sensor,
+    *,
+    jump: float = 8.0,
+    multipath_rad: float = 1.0,
+    max_range_m: float = 0.0,
+) -> Callable[[Phasors], DepthMap]:
+    """Range whose wraps are smooth over the image and plausible as light.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Gives the frequencies, two or more, and the radiometry.
+    jump : float
+        Cost of a step of 1 m or more between neighbours; 0 leaves every pixel to itself.
+    multipath_rad : float
+        Phase error that multipath may cause, rad.
+    max_range_m : float
+        Longest range, m; 0 stands for the joint ambiguity.
+
+    Returns
+    -------
+    callable
+        ``run(Phasors) -> DepthMap``. `sigma_m` is the Cramer-Rao bound, right where the wraps are;
+        `confidence` the cost between the winner and the runner-up; ``info``: `status`, `changed`
+        (H, W), True where it is not the least residual that won, and `residual` (H, W) as in `crt`.
+
+    Raises
+    ------
+    ValueError
+        If there is one frequency only, a parameter is negative, or the emitter is not at the
+        camera.
+
+    References
+    ----------
+    H. Hirschmüller, "Stereo processing by semi-global matching and mutual information", IEEE TPAMI
+    30 (2008) 328-341.
+    """
+    refuse_emitter_offset(sensor)
+    if not (jump >= 0 and multipath_rad >= 0):
+        msg = f"jump and multipath_rad must be 0 or more, got {jump} and {multipath_rad}"
+        raise ValueError(msg)
+    walk = plan(sensor, max_range_m, least_freqs=2, method="semi_global")
+    k = range_to_phase(1.0, sensor.modulation.freqs_hz).astype(np.float32)
+    view = optics(sensor)
+
+    def run(phasors: Phasors) -> DepthMap:
+        found = search(phasors, walk, top=HYPOTHESES)
+        valid = phasors.valid & (found.information > 0)
+        known = phasors.sigma is not None
+        snr2 = found.information * np.float32(1 / walk.information.sum())
+        cost = np.empty_like(found.cost)
+        values = kernel_input(phasors.values).reshape(k.size, -1)
+        flat = found.range_m.reshape(HYPOTHESES, -1), found.cost.reshape(HYPOTHESES, -1)
+        same = view.flash.shape[1:] == valid.shape
+        flash = view.flash if same else optics(sensor, valid.shape).flash
+        white = _whiteness(phasors, flash.mean(axis=0), found, valid)
+        _price(
+            values, *flat, kernel_input(snr2).reshape(-1), kernel_input(white).reshape(-1), k,
+            known, np.float32(multipath_rad), cost.reshape(HYPOTHESES, -1),
+        )  # fmt: skip
+        total = aggregate(found.range_m, cost, valid, jump)
+        order = np.sort(total, axis=0)
+        best = total.argmin(axis=0)[None]
+        chosen, residual = (
+            np.take_along_axis(a, best, axis=0)[0] for a in (found.range_m, found.cost)
+        )
+        sigma_m = None
+        if known:
+            with np.errstate(divide="ignore"):
+                sigma_m = np.where(valid, 1 / np.sqrt(found.information), np.float32(np.nan))
+        return DepthMap(
+            range_m=np.where(valid, chosen, np.float32(np.nan)),
+            sigma_m=sigma_m,
+            confidence=np.where(valid, order[1] - order[0], np.float32(0)),
+            info={
+                "status": np.where(valid, np.uint8(OK), np.uint8(INVALID)),
+                "changed": valid & (best[0] > 0),
+                "residual": residual,
+            },
+        )
+
+    warm_up(run, k.size)
+    return run
+
+
+def _whiteness(phasors: Phasors, flash: F32, found: Candidates, valid: Bool) -> F32:
+    """Albedo of every pixel divided by its squared range; 0 if the radiometry cannot be right.
+
+    It cannot if most pixels are brighter than white at the nearest of their hypotheses, or most of
+    those with an undisputed range at that range.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        white = np.abs(phasors.values).mean(axis=0) / np.maximum(flash, np.float32(1e-30))
+        white = np.where(valid, white, np.float32(0))
+        clean, disputed = LONE_CHI2 if phasors.sigma is not None else LONE_RAD2
+        lone = valid & (found.cost[0] < clean) & (found.cost[1] > disputed)
+        nearest = np.fmin.reduce(found.range_m, axis=0)
+        for pixels, range_m in ((valid, nearest), (lone, found.range_m[0])):
+            albedo = (white * range_m**2)[pixels]
+            if albedo.size and not np.median(albedo) <= WHITE:
+                return np.zeros_like(white)
+    return white
+
+
+@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _price(
+    values: C64, range_m: F32, chi2: F32, snr2: F32, white: F32, k: F32, known: bool,
+    multipath_rad: np.float32, cost: F32,
+) -> None:  # fmt: skip
+    """Cost of every hypothesis above that of the pixel's best."""
+    mean = k.mean()
+    for p in prange(values.shape[1]):
+        least = np.float32(np.inf)
+        for t in range(range_m.shape[0]):
+            if not chi2[t, p] < np.inf:
+                cost[t, p] = np.inf
+                continue
+            lean = np.float32(0.0)  # negative: the lower the frequency, the longer its range
+            for f in range(k.size):
+                phase = np.arctan2(values[f, p].imag, values[f, p].real) - k[f] * range_m[t, p]
+                lean += (phase - TWO_PI * np.rint(phase / TWO_PI)) / k[f] * (k[f] - mean)
+            error = multipath_rad if lean < 0 else LEAST_ERROR_RAD
+            dearer = np.float32(known) + error * error * snr2[p]
+            bright = max(white[p] * range_m[t, p] ** 2 - WHITE, np.float32(0.0)) / WHITE_SPREAD
+            cost[t, p] = np.float32(0.5) * (
+                chi2[t, p] / max(dearer, np.float32(1e-30)) + bright * bright
+            )
+            least = min(least, cost[t, p])
+        for t in range(range_m.shape[0]):
+            cost[t, p] = min(cost[t, p] - least, DEAREST)
+
+
+def aggregate(range_m: F32, cost: F32, valid: Bool, jump: float) -> F32:
+    """Costs summed over straight paths through the image.
+
+    Parameters
+    ----------
+    range_m, cost : ndarray, (T, H, W)
+        Hypotheses, m, and their own costs.
+    valid : ndarray, (H, W), bool
+        Other pixels take no part.
+    jump : float
+        Cost of a step of 1 m or more.
+
+    Returns
+    -------
+    ndarray, (T, H, W)
+        ``sum_r L_r``, L_r the least cost of a path that comes along r and ends in the hypothesis.
+    """
+    with np.errstate(invalid="ignore"):
+        ranges = np.where(np.isfinite(range_m), range_m, FAR_M).astype(np.float32)
+    # Pixels as rows: the hypotheses of one lie together.
+    ranges = np.ascontiguousarray(np.moveaxis(ranges, 0, -1))
+    own = np.ascontiguousarray(np.moveaxis(np.where(valid, cost, np.float32(0)), 0, -1))
+    total = np.zeros_like(own)
+    for dy, dx in PATHS:
+        starts = _starts((own.shape[0], own.shape[1]), dy, dx)
+        _sweep(ranges, own, valid, starts, np.array([dy, dx]), np.float32(jump), total)
+    return np.moveaxis(total, -1, 0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _step(here: F32, own: F32, there: F32, before: F32, jump: np.float32, out: F32) -> None:
+    """Equation 13 for one pixel: own costs plus the cheapest way from the pixel before."""
+    base = before.min()
+    for t in range(own.size):
+        cheapest = np.float32(np.inf)
+        for s in range(own.size):
+            step = min(abs(here[t] - there[s]), np.float32(1.0))
+            cheapest = min(cheapest, before[s] + jump * step)
+        out[t] = own[t] + cheapest - base
+
+
+def _starts(shape: tuple[int, int], dy: int, dx: int) -> I64:
+    """First pixels (N, 2) of all paths in one direction: those without a pixel before them."""
+    v, u = np.indices(shape)
+    first = np.zeros(shape, bool)
+    if dy:
+        first |= v == (0 if dy > 0 else shape[0] - 1)
+    if dx:
+        first |= u == (0 if dx > 0 else shape[1] - 1)
+    return np.argwhere(first)
+
+
+@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _sweep(
+    range_m: F32, own: F32, valid: Bool, starts: I64, step: I64, jump: np.float32, total: F32
+) -> None:
+    """Add the costs along one direction; every path is walked by one thread."""
+    for path in prange(starts.shape[0]):
+        _walk(range_m, own, valid, starts[path], step, jump, total)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _walk(
+    range_m: F32, own: F32, valid: Bool, start: I64, step: I64, jump: np.float32, total: F32
+) -> None:
+    """Add the costs along one path, from valid pixel to valid pixel."""
+    height, width, n = own.shape
+    before, cost = np.zeros(n, np.float32), np.empty(n, np.float32)
+    y, x = start[0], start[1]
+    v, u = np.int64(-1), np.int64(-1)  # the last valid pixel
+    while 0 <= y < height and 0 <= x < width:
+        if valid[y, x]:
+            cost[:] = own[y, x]
+            if v >= 0:
+                _step(range_m[y, x], own[y, x], range_m[v, u], before, jump, cost)
+            before[:] = cost
+            total[y, x] += cost
+            v, u = y, x
+        y += step[0]
+        x += step[1]
