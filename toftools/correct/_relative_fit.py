@@ -33,6 +33,7 @@ LEAST_E = 0.1
 TIE = 2.0
 """Difference in chi-squared up to which solutions count as equally good."""
 C128 = NDArray[np.complex128]
+I64 = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +154,14 @@ def _solve(
         _logs(new_b, new_e, k, trial)
         reached, new_a, new_d = _reduce(z_log, trial, k, weight, anchor, wrap, moved)
         if reached < cost:
-            done = cost - reached < 1e-9 * (1e-3 + cost)
+            done = cost - reached < 1e-7 * (1e-2 + cost)
             b, e, cost, log_a, d = new_b, new_e, reached, new_a, new_d
             left[:] = moved
             damping *= 0.1
             if done:
                 break
+        elif damping > 1e4:
+            break
         else:
             damping *= 10.0
     out[0], out[1], out[2], out[3], out[4] = cost, d, e, np.exp(log_a), b
@@ -166,16 +169,17 @@ def _solve(
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _scan(
-    z_log: C128, k: F64, weight: F64, anchor: int, logs: C128, cost: F64, best: NDArray[np.int64]
-) -> None:
+    z_log: C128, k: F64, weight: F64, anchor: int, logs: C128, limits: F64, cost: F64, best: I64
+) -> None:  # fmt: skip
     """Least cost (wraps, E) over the relative amplitudes of the table, and which has it."""
     left = np.empty(k.size, np.complex128)
+    margin = STEP_RAD / k[anchor]  # the range of a start is not that of its solution
     for n in range(cost.shape[0]):
         for s in range(cost.shape[1]):
             cost[n, s] = np.inf
             for m in range(logs.shape[1]):
-                c = _reduce(z_log, logs[s, m], k, weight, anchor, n, left)[0]
-                if c < cost[n, s]:
+                c, _, d = _reduce(z_log, logs[s, m], k, weight, anchor, n, left)
+                if c < cost[n, s] and limits[0] - margin <= d <= limits[1] + margin:
                     cost[n, s], best[n, s] = c, m
 
 
@@ -238,7 +242,7 @@ def fit(
         weight = (size / sigma[:, p]) ** 2
         cost, best = np.empty((wraps, e.size)), np.zeros((wraps, e.size), np.int64)
         solved, count = np.empty((solve, 5)), 0
-        _scan(z_log, k, weight, anchor, logs, cost, best)
+        _scan(z_log, k, weight, anchor, logs, limits, cost, best)
         while count < solve:
             at = int(np.argmin(cost))
             n, s = at // e.size, at % e.size

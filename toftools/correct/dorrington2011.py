@@ -19,7 +19,18 @@ the tighter, the fewer solutions. A third frequency tells them apart.
 
 Inputs: two or more frequencies, at the contrasts that the sensor states; second return up to
 `max_ratio` times as strong as the first and up to `max_extra_m` behind.
-Fails as measured (see the tests).
+Measured (noise 1 % of the first return, separations 0.3 to 2 m, ratios 0.05 to 0.8, 4000 pixels;
+share more than 0.1 m off, and that of `crt`): 20/50/70 MHz over 0.5 to 8 m 0.0 % (50 %), 80/16/120
+MHz 0.0 % (14 %), 40/70 MHz limited to 3.5 m 0.1 % (57 %), 40/70 MHz over 0.5 to 8 m 21 % (57 %),
+each of these an exact solution too. Errors are at the two-return bound from 0.6 m up (20/50/70 MHz:
+19, 7 and 3 mm at 0.6, 1 and 2 m). 30 to 60 microseconds of processor time a pixel with two returns
+(2 to 5 s a frame of 320 x 240), 1 with one; with `starts=1` half of it.
+Fails where returns are close: at 0.3 m the bound is 75 mm, the median error 39 to 64 mm, and
+normalised errors spread by 1.7 to 1.9. Fails to notice weak second returns (ratio 0.05 found in 0,
+28, 53 and 49 % at 0.3, 0.6, 1 and 2 m; the others keep their bias of 5 to 17 mm) and, with two
+frequencies over the joint ambiguity, to choose right in a fifth of the pixels. Fails where the
+amplitudes are not alike: a lone return 10 % weaker at the highest frequency counts as two and is
+8 cm off.
 """
 
 from collections.abc import Callable
@@ -29,7 +40,14 @@ from numpy.typing import NDArray
 
 from toftools.correct import kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._one_or_two import check_first_share, lone_return_test, returns_of
-from toftools.correct._relative_fit import LEAST_B, LEAST_E, fit, table_of_starts
+from toftools.correct._relative_fit import (
+    LEAST_B,
+    LEAST_E,
+    STARTS_B,
+    STEP_RAD,
+    fit,
+    table_of_starts,
+)
 from toftools.correct._returns import GUARD_M
 from toftools.correct._wraps import longest_m
 from toftools.types import F64, DepthMap, Phasors, Sensor
@@ -45,7 +63,7 @@ def dorrington2011(
     max_range_m: float = 0.0,
     max_extra_m: float = 2.5,
     max_ratio: float = 1.0,
-    starts: int = 10,
+    starts: int = 4,
     first_share: float = 0.05,
     false_alarm: float = 0.001,
     assumed_noise: float = 0.01,
@@ -116,14 +134,14 @@ def dorrington2011(
     cyclic = max_range_m == 0 or longest_m(freqs, 2 * max_range_m) <= max_range_m
     limits = np.array([-np.inf, np.inf] if cyclic else [-GUARD_M, longest])
     bounds = np.array([LEAST_B, max_ratio, min(LEAST_E / k.max(), max_extra_m / 2), max_extra_m])
-    table = table_of_starts(k, max_extra_m, max_ratio)
     wraps = test.walk.last + 1
-    if wraps * table.e.size * table.b.size > MOST_STARTS:
+    if wraps * len(STARTS_B) * max_extra_m * k.max() / STEP_RAD > MOST_STARTS:
         msg = (
             f"got max_range_m={max_range_m} and max_extra_m={max_extra_m}, which make more than "
             f"{MOST_STARTS} starts at these frequencies; lower them"
         )
         raise ValueError(msg)
+    table = table_of_starts(k, max_extra_m, max_ratio)
     columns = [kernel_input(array) for array in (table.e, table.b, table.logs)]
 
     def split(z: NDArray[np.complex128], sigma: F64) -> tuple[F64, F64, F64]:
@@ -150,7 +168,7 @@ def _check(max_extra_m: float, max_ratio: float, starts: int) -> None:
             msg = f"{name} must be positive and finite, got {value}"
             raise ValueError(msg)
     if not 1 <= starts <= 1000:
-        msg = f"starts must lie in 1..1000, got {starts}; 10 is usual"
+        msg = f"starts must lie in 1..1000, got {starts}; 4 is usual"
         raise ValueError(msg)
 
 

@@ -20,7 +20,16 @@ small changes of the data give in closed form (`_duals`). The test for one retur
 
 Inputs: exactly four frequencies, equispaced, in any order. Amplitudes that fall off exponentially
 with frequency, as demodulation contrast roughly does, are a width and do no harm to two returns.
-Fails as measured (see the tests).
+Measured (20 to 80 MHz, noise 1 % of the stronger return, 2000 pixels a figure): 5 mm rms at 2 m of
+separation, ratios 0.2 to 0.8; the two-return bound without widths is 2.4 mm: the widths cost that
+much and more, the nearer the returns. A frame of 320 x 240 takes 124 ms of processor time where
+all pixels have two returns, 85 ms where none has. A lone return whose amplitude falls by 20 % over
+the frequencies stays one in 96 % of the pixels.
+Fails where returns are close, sooner than the other methods, since a pair looks like one wide
+return: at 1 m the rms is 53 to 65 mm (bound 4 mm, one return wrong by 40 to 357 mm) and normalised
+errors spread by 1.1 to 1.7; at 0.6 m the median error is 76 to 132 mm and they spread by 2 to 6;
+at 0.3 m nothing is gained. With noise of 0.1 % these distances halve: 12 mm at 0.6 m, 66 mm at
+0.3 m. Weak second returns (ratio 0.05) are found in 0, 7, 30 and 53 % at 0.3, 0.6, 1 and 2 m.
 """
 
 from collections.abc import Callable
@@ -63,8 +72,9 @@ def godbaz2012_cauchy(
     -------
     callable
         ``run(Phasors) -> DepthMap``. `sigma_m` is the noise carried through the inversion, in
-        closed form. ``info``: `status`, `returns`, `ranges_m`, `amplitudes` (2, H, W), nearest
-        first, and `chi2_one`, what one return leaves.
+        closed form; where only one return counts although it is no sharp one, its half width is
+        added. ``info``: `status`, `returns`, `ranges_m`, `amplitudes` (2, H, W), nearest first,
+        and `chi2_one`, what one return leaves.
 
     Raises
     ------
@@ -94,7 +104,7 @@ def godbaz2012_cauchy(
     order = np.argsort(freqs)
     steps = np.diff(freqs[order])
     spacing = float(steps.mean()) if steps.size else 0.0
-    if freqs.size != 4 or np.abs(steps - spacing).max() > SPACING_TOLERANCE * spacing:
+    if freqs.size != 4 or not (np.abs(steps - spacing) < SPACING_TOLERANCE * spacing).all():
         got = f"{freqs.size}; " if freqs.size != 4 else f"{freqs.tolist()} Hz; "
         msg = (
             f"godbaz2012_cauchy needs four equispaced frequencies, got {got}"
@@ -111,9 +121,12 @@ def godbaz2012_cauchy(
     laps = max(round(period_m * float(wavenumbers[1]) / TWO_PI), 1)
 
     def split(z: NDArray[np.complex128], sigma: F64) -> tuple[F64, F64, F64]:
-        return separate(  # type: ignore[no-any-return]
+        range_m, amplitude, sigma_m, width_m = separate(
             kernel_input(z[order]), kernel_input(sigma[order]), wavenumbers[0], wavenumbers[1], laps
         )
+        # One wide return that counts may be two close ones: nothing inside its width is known.
+        alone = amplitude.min(axis=0) < first_share * amplitude.max(axis=0)
+        return range_m, amplitude, np.where(alone, np.hypot(sigma_m, width_m), sigma_m)
 
     def run(phasors: Phasors) -> DepthMap:
         return returns_of(phasors, test, split, first_share=first_share, period_m=period_m)
@@ -125,7 +138,7 @@ def godbaz2012_cauchy(
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def separate(
     z: NDArray[np.complex128], sigma: F64, k_first: float, k_step: float, laps: int
-) -> tuple[F64, F64, F64]:
+) -> tuple[F64, F64, F64, F64]:
     """Both returns of every pixel.
 
     Parameters
@@ -141,13 +154,14 @@ def separate(
 
     Returns
     -------
-    range_m, amplitude, sigma_m : ndarray, (2, N)
+    range_m, amplitude, sigma_m, width_m : ndarray, (2, N)
         Ranges, m, NaN where there is no second return; amplitudes at the lowest frequency;
-        standard deviation of the ranges, m.
+        standard deviation of the ranges, m; half width at half maximum of the Cauchy
+        distributions, m (noise makes it negative, too).
     """
     n = z.shape[1]
     range_m, amplitude = np.full((2, n), np.nan), np.zeros((2, n))
-    sigma_m = np.full((2, n), np.nan)
+    sigma_m, width_m = np.full((2, n), np.nan), np.full((2, n), np.nan)
     for i in prange(n):
         z0, z1, z2, z3 = z[0, i], z[1, i], z[2, i], z[3, i]
         det = z0 * z2 - z1 * z1
@@ -164,9 +178,10 @@ def separate(
             if abs(a) == 0 or abs(p) == 0:
                 continue
             amplitude[j, i] = abs(a)
+            width_m[j, i] = -np.log(abs(p)) / k_step
             variances = _duals(p, q, a, sigma[:, i])
             range_m[j, i], sigma_m[j, i] = _range(p, a, variances, k_first, k_step, laps)
-    return range_m, amplitude, sigma_m
+    return range_m, amplitude, sigma_m, width_m
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types

@@ -23,7 +23,16 @@ two-return Cramer-Rao bound (derivation at `_sigma`). The test for one return (_
 the sigma are ours.
 
 Inputs: exactly two frequencies, ratio 2:1, calibrated to the same amplitude.
-Fails as measured (see the tests).
+Measured (30 and 60 MHz, noise 1 % of the stronger return, 2000 pixels a figure): at the bound for
+ratios 0.2 to 0.8 and separations of 1 m (11 mm rms) and 2 m (4 mm), where one return is wrong by
+46 to 410 mm. A frame of 320 x 240 takes 94 ms of processor time where all pixels have two returns,
+67 ms where none has.
+Fails where returns are close: at 0.6 m the rms is 32 to 41 mm (bound 31 mm), at 0.3 m the bound is
+125 mm, the median error 48 to 72 mm, a third of the pixels are more than 0.1 m off and normalised
+errors spread by 1.5 to 1.8. Fails to notice weak ones: a ratio of 0.05 is found in 0, 9, 56 and
+54 % of the pixels at 0.3, 0.6, 1 and 2 m, the others keep their bias (10 to 21 mm). Fails where
+the amplitudes are not alike: a lone return 5 % weaker at the doubled frequency counts as two in
+47 % of the pixels, 10 % weaker in all, and is then 0.2 m off. Three and more returns have no sign.
 """
 
 from collections.abc import Callable
