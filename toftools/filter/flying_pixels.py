@@ -47,6 +47,8 @@ from toftools.types import F32, Bool, DepthMap, Phasors, Sensor
 STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 NEAREST_M = np.float32(1e-3)
 """Least z that is told from zero."""
+MOST_M = np.float32(1e6)
+"""No sigma is larger; squares of sigma / z^2 stay finite."""
 
 
 def flying_pixels(
@@ -111,7 +113,8 @@ def flying_pixels(
         noise = np.zeros_like(w)
         if depth.sigma_m is not None:
             known = np.isfinite(depth.sigma_m)
-            noise[known] = (depth.sigma_m * forward * w * w)[known] * np.float32(noise_sigmas)
+            scale = (forward * w * w)[known] * np.float32(noise_sigmas)
+            noise[known] = np.minimum(depth.sigma_m[known], MOST_M) * scale
         flying = np.zeros(w.shape, np.bool_)
         _judge(kernel_input(w), noise * noise, np.float32(gap_m), least_neighbours, flying)
         return _without(depth, flying)
