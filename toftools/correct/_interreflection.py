@@ -1,0 +1,213 @@
+"""Single frames freed from diffuse interreflection: the loop that the methods of Fuchs share.
+
+With diffuse surfaces the camera sees of every point the same radiosity as all other points do, so
+the measured phasors m, which hold all bounces, are the emitters: ``m(u) = direct(u) + albedo(u)
+E(u)``, E(u) the irradiance phasor from all v (one product, no recursion). The same albedo stands
+in ``direct(u) = albedo(u) L(u)``, L the flash; so it cancels,
+
+    direct = m / (1 + h),    h(u) = E(u) exp(-2j k range(u)) / |L(u)|    (E delayed to the camera),
+
+and only geometry is iterated: range, normals, E, h, range. References: see `fuchs2010`. Inputs:
+phasors in the unit of the sensor's electronics, since the flash must be known absolutely; a
+`gain` stands for what is not known of it. Fails where light comes from surfaces out of view; a
+pixel whose answer is not credible gets the plain one back (`FALLBACK`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from toftools._transfer import sincos
+from toftools.correct import INVALID, OK, kernel_input
+from toftools.correct._albedo_gain import fitted_gain
+from toftools.correct._scene import Optics, Surface, lit, surface
+from toftools.correct._turns import FAST
+from toftools.correct._wraps import Candidates, Plan, search
+from toftools.types import C64, F32, Bool, DepthMap, Phasors
+from toftools.units import TWO_PI, path_to_phase
+
+Irradiance = Callable[[Optics, Surface, C64], C64]
+"""Phasors (F, H, W) to the irradiance phasors (F, H, W) on what every pixel sees."""
+
+LEAST_SHARE, MOST_SHARE = 0.2, 2.0
+"""Direct light below or above these shares of the measured amplitude is not credible: FALLBACK."""
+MOST_ALBEDO = 1.5
+"""Nor is a larger albedo; 0.5 above one for what the noise and the normals may do to it."""
+SETTLED_M, SETTLED_SHARE = 0.02, 0.5
+"""Nor is a range that the last iteration still moved by more: 2 cm and three standard deviations,
+or half of all that was removed."""
+NORMAL_NOISE = 0.1
+"""Windows for planes grow until the noise turns normals by no more (rad, median)."""
+MOST_REACH_PX = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """What distinguishes the methods.
+
+    Parameters
+    ----------
+    walk : Plan
+        Of the search for the range.
+    irradiance : callable
+        The transport.
+    iterations : int
+        Times geometry is rebuilt.
+    albedo_gain : float
+        Factor of the radiometric albedo; 0 fits it.
+    """
+
+    walk: Plan
+    irradiance: Irradiance
+    iterations: int
+    albedo_gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """One iterate: range, ratio of indirect to direct light, gain."""
+
+    found: Candidates
+    ratio: C64
+    flash: F32
+    gain: float
+    moved_m: F32
+
+
+def freed(phasors: Phasors, view: Optics, recipe: Recipe) -> DepthMap:
+    """Range without diffuse interreflection.
+
+    Parameters
+    ----------
+    phasors : Phasors
+        (F, H, W).
+    view : Optics
+        Of the camera, for frames of that shape.
+    recipe : Recipe
+        The method.
+
+    Returns
+    -------
+    DepthMap
+        See `toftools.correct.fuchs2010`.
+    """
+    plain = search(phasors, recipe.walk, top=1)
+    valid = phasors.valid & (plain.information > 0)
+    values = np.where(valid, phasors.values, np.complex64(0))
+    none = np.zeros_like(values)
+    start = _State(plain, none, none.real, recipe.albedo_gain, plain.range_m[0])
+    state, reach = start, _reach_px(view, plain, valid, known=phasors.sigma is not None)
+    for _ in range(recipe.iterations):
+        state = _iterate(state, values, Phasors(values, phasors.sigma, valid), view, recipe, reach)
+    return _answer(phasors, valid, plain, state, recipe)
+
+
+def _reach_px(view: Optics, plain: Candidates, valid: Bool, *, known: bool) -> int:
+    """Windows that average enough: a slope over squared steps S has noise / sqrt S."""
+    if not (known and valid.any()):
+        return 1
+    apart = plain.range_m[0] * np.sqrt(view.solid_angle_sr)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noise = float(np.median((1 / np.sqrt(plain.information) / apart)[valid]))
+    for reach in range(1, MOST_REACH_PX):
+        spread = (2 * reach + 1) ** 2 * reach * (reach + 1) / 3
+        if noise / np.sqrt(spread) <= NORMAL_NOISE:
+            return reach
+    return MOST_REACH_PX
+
+
+def _iterate(
+    state: _State, values: C64, phasors: Phasors, view: Optics, recipe: Recipe, reach: int
+) -> _State:
+    before = state.found.range_m[0]
+    noise_m: F32 | float = 0.0
+    if phasors.sigma is not None:
+        with np.errstate(divide="ignore"):
+            noise_m = np.where(phasors.valid, 1 / np.sqrt(state.found.information), 0)
+    range_m = np.where(phasors.valid, before, np.float32(np.nan))
+    seen = surface(view, range_m, noise_m=noise_m, reach_px=reach)
+    flash = lit(view, seen)
+    ratio = np.empty_like(values)
+    turns = np.asarray(path_to_phase(1.0, view.freqs_hz) / TWO_PI, np.float32)
+    arrived = _parts(recipe.irradiance(view, seen, values))
+    _to_ratio(arrived, seen.position, flash, turns, _writable_parts(ratio))
+    gain = recipe.albedo_gain or fitted_gain(values, ratio, flash, range_m, view.freqs_hz)
+    direct, sigma = _direct(values, phasors.sigma, ratio, gain)
+    found = search(Phasors(direct, sigma, phasors.valid), recipe.walk, top=1)
+    return _State(found, ratio, flash, gain, np.abs(found.range_m[0] - before))
+
+
+def _direct(values: C64, sigma: F32 | None, ratio: C64, gain: float) -> tuple[C64, F32 | None]:
+    """Direct light and its noise: both shrink alike."""
+    divisor = 1 + np.float32(gain) * ratio
+    direct = values / divisor
+    return direct, None if sigma is None else sigma / np.abs(divisor)
+
+
+def _parts(values: C64) -> F32:
+    return kernel_input(values).view(np.float32).reshape(*values.shape, 2)
+
+
+def _writable_parts(values: C64) -> F32:
+    return values.view(np.float32).reshape(*values.shape, 2)
+
+
+@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+def _to_ratio(arrived: F32, position: F32, flash: F32, turns: F32, ratio: F32) -> None:
+    """Irradiance, turned by the way to the camera, over the flash's."""
+    for v in prange(arrived.shape[1]):
+        for f in range(turns.size):
+            for u in range(arrived.shape[2]):
+                x, y, z = position[0, v, u], position[1, v, u], position[2, v, u]
+                s, c = sincos(-np.sqrt(x * x + y * y + z * z) * turns[f])
+                scale = 1 / max(flash[f, v, u], np.float32(1e-9))
+                re, im = arrived[f, v, u, 0] * scale, arrived[f, v, u, 1] * scale
+                ratio[f, v, u, 0] = re * c - im * s
+                ratio[f, v, u, 1] = re * s + im * c
+
+
+def _answer(
+    phasors: Phasors, valid: Bool, plain: Candidates, last: _State, recipe: Recipe
+) -> DepthMap:
+    """Corrected where that is credible, plain with a larger sigma elsewhere."""
+    ratio = np.float32(last.gain) * last.ratio
+    share = 1 / np.maximum(np.abs(1 + ratio).max(axis=0), np.float32(1e-6))
+    most = 1 / np.maximum(np.abs(1 + ratio).min(axis=0), np.float32(1e-6))
+    direct = phasors.values / (1 + ratio)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        albedo = last.gain * (np.abs(direct) / last.flash).max(axis=0)
+        sigma_m = 1 / np.sqrt(last.found.information)
+        plain_sigma_m = 1 / np.sqrt(plain.information)
+    shift_m = last.found.range_m[0] - plain.range_m[0]
+    limit_m = SETTLED_M + (3 * sigma_m if phasors.sigma is not None else 0)
+    # A count of turns that the last iteration changed has not settled.
+    turn_m = recipe.walk.ambiguity_m.min()
+    limit_m = np.maximum(limit_m, np.minimum(SETTLED_SHARE * np.abs(shift_m), turn_m / 4))
+    doubtful = (share < LEAST_SHARE) | (most > MOST_SHARE) | ~(albedo < MOST_ALBEDO)
+    doubtful |= ~(last.moved_m < limit_m) | ~np.isfinite(shift_m)
+    touched = (np.abs(ratio) > 0).any(axis=0)
+    fallback = valid & touched & doubtful
+    nothing = np.float32(np.nan)
+    range_m = np.where(fallback, plain.range_m[0], last.found.range_m[0])
+    spread = None
+    if phasors.sigma is not None:
+        doubt = np.hypot(plain_sigma_m, np.nan_to_num(shift_m))
+        spread = np.where(valid, np.where(fallback, doubt, sigma_m), nothing)
+    removed = np.where(valid & ~fallback, phasors.values - direct, np.complex64(0))
+    strength = np.abs(phasors.values).max(axis=0)
+    return DepthMap(
+        range_m=np.where(valid, range_m, nothing),
+        sigma_m=spread,
+        confidence=np.where(valid & ~fallback, share, np.where(valid, share * LEAST_SHARE, 0)),
+        amplitude=np.where(valid, strength, 0),
+        info={
+            "status": np.where(valid, np.uint8(OK), np.uint8(INVALID)),
+            "fallback": fallback,
+            "indirect": removed.astype(np.complex64),
+            "albedo": np.where(valid, np.minimum(albedo, 1e6), nothing).astype(np.float32),
+            "albedo_gain": last.gain,
+            "iterations": recipe.iterations,
+        },
+    )
