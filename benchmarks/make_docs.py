@@ -14,7 +14,7 @@ from pathlib import Path
 
 from toftools.bench.render import markdown_table, number
 from toftools.bench.table import groups, summarise, unsuited
-from toftools.registry import CORRECTIONS, METRICS, READERS, SIMULATORS, parameters_of
+from toftools.registry import CORRECTIONS, FILTERS, METRICS, READERS, SIMULATORS, parameters_of
 from toftools.sensors import PRESETS, SOURCES
 from toftools.sim.analytic import SCENES
 from toftools.sim.scenes import FILES, WORLDS
@@ -45,6 +45,8 @@ def method_sections(table):
         header = re.sub(r"References\n-+\n", "References: ", inspect.getdoc(module_of(spec)))
         grid = ", ".join(f"`{key}` {list(values)}" for key, values in spec.grid.items())
         yield f"### `{name}`\n\n{header}\n\n- Parameters: {dials(make)}"
+        if spec.place:
+            yield f"- Place: {spec.place} the correction"
         if grid:
             yield f"- Benchmark grid: {grid}"
 
@@ -63,6 +65,9 @@ def methods_md():
         "# Methods\n\nMade by `python benchmarks/make_docs.py` from the registry; do not edit.",
         "## Corrections\n\nA correction turns phasors into a depth map.",
         *method_sections(CORRECTIONS),
+        "## Filters\n\nSteps before or after a correction, joined to a chain by `>` "
+        "([docs/benchmark.md](benchmark.md#chains)).",
+        *method_sections(FILTERS),
         "## Simulators",
         *method_sections(SIMULATORS),
         "### Closed-form scenes\n",
