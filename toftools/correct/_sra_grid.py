@@ -1,25 +1,18 @@
-"""What both forms of SRA share: the range grid, returns on it, and the first of them.
+"""What all forms of SRA share: the range grid, returns on it, what is refused.
 
-Reference: the first tap above a share of the largest is the answer, as in ``scripts/SRA.m`` of the
-release of Su et al., CVPR 2018; joining neighbouring cells at their mean is ours. Inputs: see each
-function. Fails on nothing of its own; what SRA itself fails on is said in sra_lp.py.
+Reference: Freedman et al., ECCV 2014, has the grid; joining neighbouring cells at their mean is
+ours. Inputs: see each function. Fails on nothing of its own; what SRA fails on: see sra_lp.py.
 """
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toftools.correct import INVALID, OK, REJECTED
 from toftools.correct._wraps import longest_m
-from toftools.types import F64, DepthMap, Phasors
+from toftools.types import F64, Phasors
 from toftools.units import ambiguity_m
 
 SIDES = 16
 """Corners of the polygon that stands for the circle of the complex modulus; a multiple of 4."""
-
-GUARD_M = 0.05
-"""A return up to this far below zero (that is, below a whole joint ambiguity) is one at zero."""
 
 MERGE_CELLS = 2
 """Occupied grid cells at most this far apart are one return between them."""
@@ -125,44 +118,6 @@ def group_returns(amounts: F64, step_m: float, *, cyclic: bool) -> tuple[F64, F6
     return step_m * moments / strengths, strengths
 
 
-def first_return(
-    ranges_m: F64, strengths: F64, first_share: float, period_m: float
-) -> tuple[float, float, int]:
-    """The nearest return that is strong enough, its share of the total, and their number.
-
-    Parameters
-    ----------
-    ranges_m, strengths : ndarray, (L,)
-        Returns.
-    first_share : float
-        Least strength, relative to the strongest.
-    period_m : float
-        Joint ambiguity range, m, or 0 if ranges do not repeat.
-
-    Returns
-    -------
-    range_m : float
-        Range, m; one within `GUARD_M` below zero counts as the first and is set to zero, since
-        otherwise noise would send near objects to the far end.
-    share : float
-        Its share of the total strength.
-    count : int
-        Returns that are strong enough.
-
-    Examples
-    --------
-    >>> first_return(np.array([2.0, 5.0, 14.98]), np.array([1.0, 0.5, 0.5]), 0.1, 15.0)
-    (0.0, 0.25, 3)
-    """
-    strong = strengths >= first_share * strengths.max()
-    unwrapped = ranges_m
-    if period_m > 0:
-        unwrapped = np.mod(ranges_m + GUARD_M, period_m) - GUARD_M
-    k = int(np.argmin(np.where(strong, unwrapped, np.inf)))
-    share = float(strengths[k] / strengths.sum())
-    return max(float(unwrapped[k]), 0.0), share, int(strong.sum())
-
-
 def check_parameters(grid_m: float, epsilon: float, first_share: float) -> None:
     """Refuse parameters that no linear program can use.
 
@@ -208,35 +163,3 @@ def usable_pixels(phasors: Phasors, n_freqs: int) -> NDArray[np.bool_]:
         msg = f"phasors must have {n_freqs} frequencies, got {phasors.values.shape[0]}"
         raise ValueError(msg)
     return np.asarray(phasors.valid & (phasors.values != 0).all(axis=0))
-
-
-def depth_map(
-    range_m: NDArray[Any],
-    confidence: NDArray[Any],
-    returns: NDArray[Any],
-    usable: NDArray[np.bool_],
-) -> DepthMap:
-    """Answer of either SRA, with the state of every pixel.
-
-    Parameters
-    ----------
-    range_m, confidence, returns : ndarray, (H, W)
-        Range or NaN, share of the first return, number of returns.
-    usable : ndarray, (H, W), bool
-        Pixels for which an answer was tried.
-
-    Returns
-    -------
-    DepthMap
-        The answer; ``info["status"]`` is OK, INVALID, or REJECTED where no returns on the grid
-        explain the phasors, ``info["status_counts"]`` how many there are of each.
-    """
-    answered = np.isfinite(range_m)
-    status = np.where(answered, OK, np.where(usable, REJECTED, INVALID)).astype(np.uint8)
-    names = {"ok": OK, "invalid": INVALID, "rejected": REJECTED}
-    counts = {name: int((status == code).sum()) for name, code in names.items()}
-    return DepthMap(
-        range_m=range_m.astype(np.float32),
-        confidence=confidence.astype(np.float32),
-        info={"status": status, "status_counts": counts, "returns": returns},
-    )

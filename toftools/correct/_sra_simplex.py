@@ -1,135 +1,273 @@
-"""The table behind the fast SRA: one small linear program per cell, by revised simplex.
+"""The linear program of SRA for any number of frequencies, by the revised simplex method.
 
-Per cell, with the phasors of two frequencies turned real to (a, b): minimise ``cost x`` subject to
-``Phi x + residual = (a, 0, b, 0)`` and ``gauge(residual) <= epsilon (a + b)``, x >= 0. Written with
-one column per grid cell, per corner of the two polygons and for the slack, that is 5 rows and
-some thousand columns. The start, all residual and no return, breaks the bound; its excess costs
-`PENALTY` per unit, so that one phase of the simplex method is enough.
+With the F phasors turned real and scaled to ``u_f``: minimise ``cost x`` subject to
+``Phi x + residual = u`` and ``sum_f w_f gauge(residual_f) <= epsilon sum_f w_f u_f``, x >= 0.
+Written with one column per grid cell, per corner of the F polygons and for the slack, that is
+2 F + 1 rows and some thousand columns. The start, all residual and no return, breaks the bound;
+its excess costs `PENALTY` per unit, so that one phase of the method is enough.
 
-Reference: the revised simplex method with an explicit inverse (G. B. Dantzig, textbook). Pricing
-looks at every 16th, then every 4th, then every grid cell: the reduced costs are a trigonometric
-polynomial of the range, so the coarse steps do most of the walking. Input: grid phasors and
-cells; tested against scipy's HiGHS. A cell without a solution stays empty.
+Reference: the revised simplex method with an explicit inverse (G. B. Dantzig, textbook). The best
+match enters first, then every 16th cell is tried, then those near occupied ones, and at last all
+that the bound of _sra_pricing.py does not exclude: the answer is that of the whole program.
+Input: grid phasors; tested against scipy's HiGHS. A pixel without a solution gets no returns.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
-from toftools.correct._sra_grid import MERGE_CELLS, SIDES, TIE
-from toftools.types import F32, F64
+from toftools.correct._sra_grid import SIDES
+from toftools.correct._sra_pricing import (
+    TINY,
+    Grid,
+    best_match,
+    enter_all,
+    enter_coarse,
+    enter_near,
+    enter_residual,
+    least_gain,
+    unit_cost,
+)
+from toftools.types import F64
 
 I64 = NDArray[np.int64]
+C128 = NDArray[np.complex128]
 
-ROWS = 5
-MOST_RETURNS = 4
-"""Five rows, of which at least one is taken by the slack or the residual."""
-STRIDES = (16, 4, 1)
-MOST_PIVOTS = 200
-"""Per stride; some 20 are the rule."""
+COARSE, NEAR, ALL = range(3)
+MOST_PIVOTS = 400
+"""About 20 are the rule."""
 PENALTY = 100.0
 """Cost of excess residual; must exceed what a unit of residual can save, which is about 1."""
 EXCESS = -1
 """Mark of the excess in the basis; it has no column and never comes back."""
-TINY = 1e-9
+LANES = 8
+"""Rows are padded to whole vectors."""
 
 
-def residual_columns() -> F64:
-    """Columns of the residual and the slack, which follow those of the grid.
-
-    Returns
-    -------
-    ndarray, (5, 2 SIDES + 1)
-        Real and imaginary part per frequency, then the share in the gauge.
-    """
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
-    columns = np.zeros((ROWS, 2 * SIDES + 1))
-    for f in range(2):
-        own = slice(f * SIDES, (f + 1) * SIDES)
-        columns[2 * f, own], columns[2 * f + 1, own] = np.cos(angle), np.sin(angle)
-    columns[4] = 1.0
-    return columns
-
-
-@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def solve_cells(
-    atoms: NDArray[np.complex128], first: I64, last: I64, ratio_rad: F64, phase_rad: F64,
-    epsilon: float, residual: F64, cyclic: bool,
-) -> tuple[F32, F32]:  # fmt: skip
-    """Returns of every cell of the table.
+class Work(NamedTuple):
+    """Arrays of one solver, used again for every pixel.
 
     Parameters
     ----------
-    atoms : ndarray, (2, N)
-        Phasors of a unit return in each grid cell.
-    first, last : ndarray, (S,)
-        Grid cells [first, last) that each window may use.
-    ratio_rad : ndarray, (A,)
-        Amplitude ratios as angles, ``atan2(b, a)``.
-    phase_rad : ndarray, (B,)
-        Phases of the second frequency where the first one's is zero.
-    epsilon : float
-        Bound of the residual.
-    residual : ndarray, (5, 2 SIDES + 1)
-        From `residual_columns`.
-    cyclic : bool
-        Whether the last grid cell is a neighbour of the first.
-
-    Returns
-    -------
-    position : ndarray, (S, A, B, 4), float32
-        Returns in grid cells from the first, ascending.
-    share : ndarray, (S, A, B, 4), float32
-        Their shares of the total amplitude; 0 where there is no further return.
+    basis, value, cost : ndarray, (R,)
+        Columns in the basis, their values and unit costs; R = 2 F + 1.
+    inverse : ndarray, (R, R padded)
+        Transposed inverse of their matrix.
+    column : ndarray, (R padded,)
+        Entering column in terms of the basis.
+    price : ndarray, (R,)
+        Multipliers.
+    turned, mean : ndarray, (2 F,)
+        Multipliers, and the amplitudes' shares, turned to the grid's own phases.
+    coarse_cost, gain : ndarray, (ceil(N / 16),)
+        Unit cost of every 16th cell, and what it would gain.
     """
-    n_atoms = atoms.shape[1]
-    shape = (first.size, ratio_rad.size, phase_rad.size, MOST_RETURNS)
-    position, share = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for b in prange(phase_rad.size):
-        columns = np.empty((ROWS, n_atoms + residual.shape[1]))
-        columns[:, n_atoms:] = residual
-        _turn(atoms, phase_rad[b], columns)
-        cell, amount = np.empty(ROWS, np.int64), np.empty(ROWS)
-        for s in range(first.size):
-            for a in range(ratio_rad.size):
-                goal = (np.cos(ratio_rad[a]), np.sin(ratio_rad[a]))
-                n = solve(columns, n_atoms, first[s], last[s], goal, epsilon, cell, amount)
-                period = n_atoms if cyclic else 0
-                group(cell[:n], amount[:n], period, position[s, a, b], share[s, a, b])
-    return position, share
+
+    basis: I64
+    value: F64
+    cost: F64
+    inverse: F64
+    column: F64
+    price: F64
+    turned: F64
+    mean: F64
+    coarse_cost: F64
+    gain: F64
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _turn(atoms: NDArray[np.complex128], phase_rad: float, columns: F64) -> None:
-    """Write the columns of the grid, the second frequency turned by minus the phase."""
-    cos, sin = np.cos(phase_rad), np.sin(phase_rad)
-    for j in range(atoms.shape[1]):
-        columns[0, j], columns[1, j] = atoms[0, j].real, atoms[0, j].imag
-        columns[2, j] = atoms[1, j].real * cos + atoms[1, j].imag * sin
-        columns[3, j] = atoms[1, j].imag * cos - atoms[1, j].real * sin
-        columns[4, j] = 0.0
+def make_work(grid: Grid) -> Work:
+    """Arrays for one solver.
+
+    Parameters
+    ----------
+    grid : Grid
+        Unit returns.
+
+    Returns
+    -------
+    Work
+        Arrays whose content is of no importance.
+    """
+    two_f, n = grid.coarse.shape
+    rows, padded = two_f + 1, -(-(two_f + 1) // LANES) * LANES
+    return Work(
+        np.empty(rows, np.int64), np.empty(rows), np.empty(rows), np.zeros((rows, padded)),
+        np.zeros(padded), np.empty(rows), np.empty(two_f), np.empty(two_f), np.empty(n),
+        np.empty(n),
+    )  # fmt: skip
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def solve(
-    columns: F64, n_atoms: int, first: int, last: int, goal: tuple[float, float],
-    epsilon: float, cell: I64, amount: F64,
-) -> int:  # fmt: skip
-    """Solve one linear program.
+    grid: Grid, first: int, last: int, unit: F64, turn: C128, weights: F64,
+    epsilon: float, work: Work,
+) -> bool:  # fmt: skip
+    """Solve one linear program; `read` gives the cells.
 
     Parameters
     ----------
-    columns : ndarray, (5, N + 2 SIDES + 1)
-        Grid, residual and slack.
-    n_atoms : int
-        Number N of grid cells.
+    grid : Grid
+        Unit returns.
     first, last : int
         Grid cells [first, last) that may be used.
-    goal : tuple of 2 floats
-        Amplitudes (a, b) of the turned phasors.
+    unit : ndarray, (F,)
+        Amplitudes, the largest of them about one.
+    turn : ndarray, (F,), complex
+        Factor that turns the grid so that the measured phasors are real.
+    weights : ndarray, (F,)
+        Weight of each frequency in the residual bound.
     epsilon : float
         Bound of the residual.
-    cell, amount : ndarray, (5,)
+    work : Work
+        Arrays; `basis` and `value` hold the solution.
+
+    Returns
+    -------
+    bool
+        Whether an optimum was found.
+    """
+    # Arrays, not tuples of them, go into what is called often: each tuple counts references.
+    cells, coarse, rise, corners = grid.cells, grid.coarse, grid.rise, grid.corners
+    basis, value, cost, inverse, column = (
+        work.basis, work.value, work.cost, work.inverse, work.column,
+    )  # fmt: skip
+    price, turned, mean, coarse_cost, gains = (
+        work.price, work.turned, work.mean, work.coarse_cost, work.gain,
+    )  # fmt: skip
+    enter = best_match(cells, coarse, first, last, unit, turn, mean, coarse_cost)
+    _start(grid, unit, turn, weights, epsilon, enter, work)
+    reach = COARSE
+    for _ in range(MOST_PIVOTS):
+        if enter < 0 and reach == ALL:
+            return True
+        if enter < 0:
+            reach += 1
+        else:
+            reach = min(reach, NEAR)
+            _column(cells, corners, turn, weights, enter, inverse, column)
+            each = unit_cost(cells, enter, mean) if enter < cells.shape[0] else 0.0
+            if not _pivot(basis, value, cost, inverse, column, enter, each):
+                return False
+            _prices(turn, cost, inverse, price, turned)
+        gain, enter = enter_residual(cells.shape[0], corners, weights, price)
+        if reach == NEAR:
+            gain_cell, cell = enter_near(cells, first, last, turned, mean, basis)
+        else:
+            gain_cell, cell = enter_coarse(coarse, first, last, turned, coarse_cost, gains)
+        if reach == ALL:
+            least = least_gain(rise, price)
+            gain_cell, cell = enter_all(cells, first, last, turned, mean, gains, least)
+        enter = cell if gain_cell > gain else enter
+    return False
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _start(
+    grid: Grid, unit: F64, turn: C128, weights: F64, epsilon: float, cell: int, work: Work
+) -> None:
+    """Basis, its values and its inverse where everything is residual.
+
+    Of each frequency's two corners one points at the phasor, and one to where the residual goes
+    once the cell is occupied.
+    """
+    rows, n_cells = work.basis.size, grid.cells.shape[0]
+    work.inverse[:] = 0.0
+    work.value[:] = 0.0
+    work.cost[:] = 0.0
+    for f in range(unit.size):
+        i, k = 2 * f, 2 * f + 1
+        ahead = (grid.cells[cell, i] * turn[f].imag + grid.cells[cell, k] * turn[f].real) <= 0
+        side = 1 if ahead else SIDES - 1
+        work.basis[i], work.basis[k] = n_cells + f * SIDES, n_cells + f * SIDES + side
+        cos, sin = grid.corners[0, side], grid.corners[1, side]
+        work.value[i] = unit[f]
+        work.value[rows - 1] += (1 - epsilon) * weights[f] * unit[f]
+        work.inverse[i, i] = 1.0
+        work.inverse[k, i] = -cos / sin
+        work.inverse[k, k] = 1 / sin
+        work.inverse[i, rows - 1] = weights[f]
+        work.inverse[k, rows - 1] = weights[f] * (1 - cos) / sin
+    work.basis[rows - 1], work.cost[rows - 1] = EXCESS, PENALTY
+    work.inverse[rows - 1, rows - 1] = -1.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _prices(turn: C128, cost: F64, inverse: F64, price: F64, turned: F64) -> None:
+    """Simplex multipliers: cost of the basis times its inverse; and turned to the grid."""
+    for i in range(price.size):
+        price[i] = 0.0
+        for k in range(price.size):
+            price[i] += cost[k] * inverse[i, k]
+    for f in range(turn.size):
+        re, im = price[2 * f], price[2 * f + 1]
+        turned[2 * f] = re * turn[f].real + im * turn[f].imag
+        turned[2 * f + 1] = im * turn[f].real - re * turn[f].imag
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _column(
+    cells: F64, corners: F64, turn: C128, weights: F64, enter: int, inverse: F64, column: F64
+) -> None:
+    """Entering column in terms of the basis."""
+    n_cells, last = cells.shape[0], inverse.shape[0] - 1
+    column[:] = 0.0
+    if enter < n_cells:
+        for f in range(turn.size):
+            re, im = cells[enter, 2 * f], cells[enter, 2 * f + 1]
+            _add(inverse, column, 2 * f, re * turn[f].real - im * turn[f].imag)
+            _add(inverse, column, 2 * f + 1, re * turn[f].imag + im * turn[f].real)
+        return
+    f, s = (enter - n_cells) // SIDES, (enter - n_cells) % SIDES
+    if f < turn.size:
+        _add(inverse, column, 2 * f, corners[0, s])
+        _add(inverse, column, 2 * f + 1, corners[1, s])
+        _add(inverse, column, last, weights[f])
+    else:
+        _add(inverse, column, last, 1.0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _add(inverse: F64, column: F64, i: int, factor: float) -> None:
+    for k in range(column.size):
+        column[k] += factor * inverse[i, k]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _pivot(
+    basis: I64, value: F64, cost: F64, inverse: F64, column: F64, enter: int, each: float
+) -> bool:
+    """Exchange the entering column for the first basic value that it drives to zero."""
+    leave, step = -1, np.inf
+    for k in range(value.size):
+        if column[k] > TINY and value[k] < step * column[k]:
+            leave, step = k, value[k] / column[k]
+    if leave < 0:
+        return False
+    for i in range(value.size):
+        share = inverse[i, leave] / column[leave]
+        for k in range(column.size):
+            inverse[i, k] -= share * column[k]
+        inverse[i, leave] = share
+    for k in range(value.size):
+        value[k] = max(value[k] - column[k] * step, 0.0)
+    basis[leave], value[leave], cost[leave] = enter, step, each
+    return True
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def read(work: Work, n_cells: int, cell: I64, amount: F64) -> int:
+    """Occupied grid cells of an optimal basis; none if the bound is still exceeded.
+
+    Parameters
+    ----------
+    work : Work
+        As `solve` left it.
+    n_cells : int
+        Number of grid cells.
+    cell, amount : ndarray, (R,)
         Filled with the occupied cells and their amplitudes.
 
     Returns
@@ -137,136 +275,11 @@ def solve(
     int
         How many cells are occupied; 0 if there is no solution.
     """
-    basis, value, inverse = _start(n_atoms, goal, epsilon)
-    cost = _costs(columns, n_atoms, goal)
-    price, column = np.empty(ROWS), np.empty(ROWS)
-    for stride in STRIDES:
-        optimal = False
-        for _ in range(MOST_PIVOTS):
-            _prices(basis, inverse, cost, price)
-            enter = _enter(columns, price, cost, first, last, stride)
-            if enter < 0:
-                optimal = True
-                break
-            for k in range(ROWS):
-                column[k] = 0.0
-                for i in range(ROWS):
-                    column[k] += inverse[k, i] * columns[i, enter]
-            if not _pivot(basis, value, inverse, column, enter):
-                return 0
-    return _read(basis, value, n_atoms, cell, amount) if optimal else 0
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _start(n_atoms: int, goal: tuple[float, float], epsilon: float) -> tuple[I64, F64, F64]:
-    """Basis, its values and its inverse where everything is residual."""
-    quarter = SIDES // 4
-    basis = np.array([0, quarter, SIDES, SIDES + quarter, EXCESS])
-    basis[:4] += n_atoms
-    inverse = np.eye(ROWS)
-    inverse[4] = 1.0
-    inverse[4, 4] = -1.0
-    total = goal[0] + goal[1]
-    return basis, np.array([goal[0], 0.0, goal[1], 0.0, (1 - epsilon) * total]), inverse
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _costs(columns: F64, n_atoms: int, goal: tuple[float, float]) -> F64:
-    """Cost of a unit of each grid cell: nearly one, a little less where the phases agree."""
-    a, b = goal[0] / (goal[0] + goal[1]), goal[1] / (goal[0] + goal[1])
-    cost = np.empty(n_atoms)
-    for j in range(n_atoms):
-        agreement = a * columns[0, j] + b * columns[2, j]
-        cost[j] = 1 - TIE * agreement * agreement
-    return cost
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _prices(basis: I64, inverse: F64, cost: F64, price: F64) -> None:
-    """Simplex multipliers: cost of the basis times its inverse."""
-    price[:] = 0.0
-    for k in range(ROWS):
-        unit = cost[basis[k]] if 0 <= basis[k] < cost.size else 0.0
-        unit = PENALTY if basis[k] == EXCESS else unit
-        for i in range(ROWS):
-            price[i] += unit * inverse[k, i]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _enter(columns: F64, price: F64, cost: F64, first: int, last: int, stride: int) -> int:
-    """Column that lowers the cost most per unit, or -1 if none does."""
-    p0, p1, p2, p3, p4 = price[0], price[1], price[2], price[3], price[4]
-    best, enter = TINY, -1
-    for j in range(first, last, stride):
-        worth = p0 * columns[0, j] + p1 * columns[1, j] + p2 * columns[2, j] + p3 * columns[3, j]
-        if worth - cost[j] > best:
-            best, enter = worth - cost[j], j
-    for j in range(cost.size, columns.shape[1]):  # residual and slack cost nothing
-        worth = p0 * columns[0, j] + p1 * columns[1, j] + p2 * columns[2, j] + p3 * columns[3, j]
-        if worth + p4 > best:
-            best, enter = worth + p4, j
-    return enter
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _pivot(basis: I64, value: F64, inverse: F64, column: F64, enter: int) -> bool:
-    """Exchange the entering column for the first basic value that it drives to zero."""
-    leave, step = -1, np.inf
-    for k in range(ROWS):
-        if column[k] > TINY and value[k] < step * column[k]:
-            leave, step = k, value[k] / column[k]
-    if leave < 0:
-        return False
-    for i in range(ROWS):
-        inverse[leave, i] /= column[leave]
-    for k in range(ROWS):
-        if k == leave:
-            continue
-        value[k] = max(value[k] - column[k] * step, 0.0)
-        for i in range(ROWS):
-            inverse[k, i] -= column[k] * inverse[leave, i]
-    basis[leave], value[leave] = enter, step
-    return True
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _read(basis: I64, value: F64, n_atoms: int, cell: I64, amount: F64) -> int:
-    """Occupied grid cells of an optimal basis; none if the bound is still exceeded."""
     n = 0
-    for k in range(ROWS):
-        if basis[k] == EXCESS and value[k] > TINY:
+    for k in range(work.basis.size):
+        if work.basis[k] == EXCESS and work.value[k] > TINY:
             return 0
-        if 0 <= basis[k] < n_atoms and value[k] > TINY:
-            cell[n], amount[n] = basis[k], value[k]
+        if 0 <= work.basis[k] < n_cells and work.value[k] > TINY:
+            cell[n], amount[n] = work.basis[k], work.value[k]
             n += 1
     return n
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def group(cell: I64, amount: F64, period: int, position: F32, share: F32) -> None:
-    """Join neighbouring occupied cells to returns, as `group_returns` does.
-
-    Parameters
-    ----------
-    cell, amount : ndarray, (n,)
-        Occupied cells and their amplitudes.
-    period : int
-        Cells of a cyclic grid, 0 for one with ends.
-    position, share : ndarray, (4,)
-        Filled with the returns' positions in cells and their shares of the total.
-    """
-    total, count, before = amount.sum(), -1, -MERGE_CELLS - 1
-    for k in np.argsort(cell):
-        if cell[k] - before > MERGE_CELLS:
-            count += 1
-        before = cell[k]
-        weight = amount[k] / total
-        position[count] += weight * cell[k]
-        share[count] += weight
-    for k in range(count + 1):
-        position[k] /= share[k]
-    if period > 0 and count > 0 and cell.min() + period - cell.max() <= MERGE_CELLS:
-        both = share[0] + share[count]
-        end = share[count] * (position[count] - period)
-        position[0], share[0] = (share[0] * position[0] + end) / both, both
-        position[count], share[count] = 0.0, 0.0

@@ -1,15 +1,20 @@
-"""The nodes of the fast SRA and what they mean: see sra.py for the method and its references.
+"""The table of the fast SRA for two frequencies, one linear program per node: see sra.py.
 
-Inputs: frequencies and the parameters of `sra`. Fails where the range grid cannot be made.
+Reference: the reduction to two numbers is that of Freedman et al., ECCV 2014 (recalled). Inputs:
+frequencies and the parameters of `sra`. Fails where the range grid cannot be made.
 """
 
 from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
 
 from toftools.correct._sra_grid import range_grid
-from toftools.correct._sra_simplex import residual_columns, solve_cells
+from toftools.correct._sra_pricing import Grid, make_grid
+from toftools.correct._sra_simplex import make_work, read, solve
+from toftools.correct._sra_small import join
 from toftools.types import F32, F64
 from toftools.units import TWO_PI, ambiguity_m, range_to_phase
 
@@ -18,6 +23,8 @@ CELLS_CIRCLE, CELLS_LIMITED = (128, 512), (64, 256)
 WINDOW_M = 0.125
 """Step of the moved distance where the range is limited, and how far past the limits the returns
 of a cell may lie: at 40/70 MHz false returns sit just past 4 m."""
+MOST_RETURNS = 4
+"""Occupied grid cells of two frequencies: five rows, one taken by the slack or the residual."""
 
 
 class Table(NamedTuple):
@@ -89,14 +96,12 @@ def make_table(freqs_hz: F64, *, grid_m: float, epsilon: float, max_range_m: flo
     turn_phase = np.mod(range_to_phase(turn_m * np.arange(n_turns), freqs_hz[1]), TWO_PI)
     # The largest gap between neighbours on the circle: 2 pi / n if the frequencies fit exactly.
     span = np.diff(np.r_[np.sort(turn_phase), TWO_PI]).max()
-    position, share = solve_cells(
-        np.exp(1j * range_to_phase(ranges_m, freqs_hz[:, None])),
-        first - offset,
-        last - offset,
+    position, share = solve_nodes(
+        make_grid(freqs_hz, ranges_m),
+        np.stack([first - offset, last - offset]),
         np.linspace(0, np.pi / 2, n_ratios + 1),
         np.linspace(0, span, n_phases + 1),
         epsilon,
-        residual_columns(),
         period_m > 0,
     )
     range_m = np.where(share > 0, (position + offset) * step_m, 0).astype(np.float32)
@@ -111,3 +116,54 @@ def make_table(freqs_hz: F64, *, grid_m: float, epsilon: float, max_range_m: flo
         limit_m,
         ratio,
     )
+
+
+@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def solve_nodes(
+    grid: Grid, windows: NDArray[np.int64], ratio_rad: F64, phase_rad: F64, epsilon: float,
+    cyclic: bool,
+) -> tuple[F32, F32]:  # fmt: skip
+    """Returns of every node of the table.
+
+    Parameters
+    ----------
+    grid : Grid
+        Unit returns.
+    windows : ndarray, (2, S)
+        Grid cells [first, last) that each window may use.
+    ratio_rad : ndarray, (A,)
+        Amplitude ratios as angles, ``atan2(b, a)``.
+    phase_rad : ndarray, (B,)
+        Phases of the second frequency where the first one's is zero.
+    epsilon : float
+        Bound of the residual.
+    cyclic : bool
+        Whether the last grid cell is a neighbour of the first.
+
+    Returns
+    -------
+    position : ndarray, (S, A, B, 4), float32
+        Returns in grid cells from the first, ascending.
+    share : ndarray, (S, A, B, 4), float32
+        Their shares of the total amplitude; 0 where there is no further return.
+    """
+    n_cells = grid.cells.shape[0]
+    shape = (windows.shape[1], ratio_rad.size, phase_rad.size, MOST_RETURNS)
+    position, share = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    for b in prange(phase_rad.size):
+        work, unit, weights = make_work(grid), np.empty(2), np.ones(2)
+        turn = np.array([1.0 + 0.0j, np.exp(-1j * phase_rad[b])])
+        cell, amount = np.empty(5, np.int64), np.empty(5)
+        at, strength = np.empty(5), np.empty(5)
+        for s in range(windows.shape[1]):
+            for a in range(ratio_rad.size):
+                unit[0], unit[1] = np.cos(ratio_rad[a]), np.sin(ratio_rad[a])
+                found = 0
+                if solve(grid, windows[0, s], windows[1, s], unit, turn, weights, epsilon, work):
+                    found = read(work, n_cells, cell, amount)
+                period = n_cells if cyclic else 0
+                found = join(cell[:found], amount[:found], period, at, strength)
+                for k in range(found):
+                    position[s, a, b, k] = at[k]
+                    share[s, a, b, k] = strength[k] / strength[:found].sum()
+    return position, share

@@ -4,7 +4,8 @@ The phasors of a pixel are a sum of few returns on a range grid, ``z_f = sum_i x
 with ``x >= 0`` and amplitudes that do not depend on frequency. SRA takes the smallest total
 amplitude that explains them, ``min sum_i x_i`` subject to a bounded residual, and answers with
 the first return. Reference: Freedman et al., ECCV 2014 (below; formulation recalled). Input:
-phasors of two or more frequencies, with or without sigma.
+phasors of two or more frequencies, with or without sigma. What comes back is not that first
+return itself but the least-squares fit that starts from all of them: _sra_fit.py, ours.
 
 The residual bound here is ``sum_f w_f |r_f| <= epsilon sum_f w_f |z_f|``, r_f the complex residual
 of frequency f, w_f = 1 / sigma_f where the noise is known (the paper's C, diagonal) and 1
@@ -47,13 +48,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from toftools.correct import refuse_emitter_offset
+from toftools.correct import refuse_emitter_offset, warm_up
+from toftools.correct._returns import sorted_returns
+from toftools.correct._sra_fit import Bounds, fitted
 from toftools.correct._sra_grid import (
     SIDES,
     TIE,
     check_parameters,
-    depth_map,
-    first_return,
     group_returns,
     range_grid,
     usable_pixels,
@@ -72,7 +73,7 @@ def sra_lp(
 ) -> Callable[[Phasors], DepthMap]:
     """First of the fewest returns that explain each pixel, by linear programming.
 
-    Takes about 5 ms per pixel: `sra` is the fast form for two frequencies.
+    Takes about 5 ms per pixel: `sra` is the fast form.
 
     Parameters
     ----------
@@ -92,8 +93,9 @@ def sra_lp(
     -------
     callable
         ``run(Phasors) -> DepthMap``. `confidence` is the first return's share of the total
-        amplitude, ``info["returns"]`` (H, W) the number of returns. `sigma_m` is None: the first
-        return jumps between solutions, so no local error law holds.
+        amplitude. ``info["returns"]`` (H, W) is the number of returns that are strong enough,
+        ``info["ranges_m"]`` and ``info["amplitudes"]`` (L, H, W) are all of them, nearest first.
+        `sigma_m` is that of the fit: right where the number of returns is.
 
     Raises
     ------
@@ -126,8 +128,9 @@ def sra_lp(
     ranges_m, period_m = range_grid(freqs, grid_m, max_range_m)
     step_m = float(ranges_m[1] - ranges_m[0])
     atoms = np.exp(1j * range_to_phase(ranges_m, freqs[:, None]))  # (F, N)
+    bounds = Bounds(epsilon, period_m, np.inf if period_m > 0 else max_range_m)
 
-    def solve(z: NDArray[np.complex128], weights: F64) -> tuple[float, float, int]:
+    def returns(z: NDArray[np.complex128], weights: F64) -> tuple[F64, F64]:
         moved_m = float(phase_to_range(wrap_phase(np.angle(z[0])), freqs[0]))
         use = slice(None)
         if period_m == 0:
@@ -135,21 +138,24 @@ def sra_lp(
         turned = z * np.exp(-1j * range_to_phase(moved_m, freqs))
         amounts = smallest_sum(turned, weights, atoms[:, use], epsilon)
         if amounts is None:
-            return np.nan, 0.0, 0
+            return np.full(1, np.nan), np.zeros(1)
         found_m, strengths = group_returns(amounts, step_m, cyclic=period_m > 0)
-        return first_return(found_m + ranges_m[use][0] + moved_m, strengths, first_share, period_m)
+        found_m += ranges_m[use][0] + moved_m
+        return sorted_returns(found_m, strengths, first_share=first_share, period_m=period_m)
 
     def run(phasors: Phasors) -> DepthMap:
         usable = usable_pixels(phasors, freqs.size)
         weights = noise_weights(phasors)
-        range_m = np.full(usable.shape, np.nan)
-        confidence = np.zeros(usable.shape)
-        returns = np.zeros(usable.shape, dtype=np.uint8)
+        shape = (2 * freqs.size, *usable.shape)
+        found_m, found = np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32)
         for i, j in zip(*np.nonzero(usable), strict=True):
             z = phasors.values[:, i, j].astype(np.complex128)
-            range_m[i, j], confidence[i, j], returns[i, j] = solve(z, weights[:, i, j])
-        return depth_map(range_m, confidence, returns, usable)
+            at, strengths = returns(z, weights[:, i, j])
+            found_m[: at.size, i, j], found[: at.size, i, j] = at, strengths
+        flat = found_m.reshape(shape[0], -1), found.reshape(shape[0], -1)
+        return fitted(phasors, usable, freqs, bounds, *flat)
 
+    warm_up(run, freqs.size)
     return run
 
 
