@@ -1,12 +1,13 @@
 """The correction methods against each other: one run, one page.
 
-python benchmarks/correction.py [--out docs/correction] [--quick] [--only SECTION ...]
+python benchmarks/correction.py [--out docs/correction] [--quick] [--only SECTION ...] [--redraw]
 
 Writes index.md, results.json and the pictures. Every section asks the whole registry: a method
 that suits a sensor appears by itself, one that does not is listed with its own sentence.
 Captures that others made are found through TOFTOOLS_DATA and the living room beside it, in
 scenes/living-room; what is not there is left out and the page says so. Renderings are kept as
-captures in --cache. With --only, the other sections stay as an earlier run left them.
+captures in --cache. With --only, the other sections stay as an earlier run left them; --redraw
+measures nothing and writes the page anew (but for the maps of `auto`).
 """
 
 import argparse
@@ -76,6 +77,7 @@ def main(arguments=None):
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / "correction")
     parser.add_argument("--quick", action="store_true", help="tiny grids: does it run?")
     parser.add_argument("--only", nargs="+", choices=list(SECTIONS), default=[])
+    parser.add_argument("--redraw", action="store_true", help="page and charts of results.json")
     parser.add_argument("--methods", nargs="+", default=[], help="names out of the registry")
     given = parser.parse_args(arguments)
     begin = time.perf_counter()
@@ -83,6 +85,10 @@ def main(arguments=None):
     def log(text):
         print(f"[{time.perf_counter() - begin:6.1f} s] {text}", file=sys.stderr, flush=True)
 
+    if given.redraw:
+        results = json.loads((given.out / "results.json").read_text(encoding="utf-8"))
+        (given.out / "index.md").write_text(page(results, given.out), encoding="utf-8")
+        return
     given.out.mkdir(parents=True, exist_ok=True)
     given.cache.mkdir(parents=True, exist_ok=True)
     job = Job(given.out, given.cache, log, given.quick, tuple(given.methods))

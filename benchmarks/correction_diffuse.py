@@ -6,7 +6,6 @@ import time
 import numpy as np
 from correction_methods import (
     Answer,
-    Method,
     answer,
     methods,
     number,
@@ -253,6 +252,3 @@ def production_text(result):
     text = (f"{width} x {height} pixels, all bounces. The kernel alone: {rate['pairs']:.3g} pairs "
             f"at {rate['gpairs_s']:.2f} thousand million a second and frequency.")  # fmt: skip
     return f"{text}\n\n{table(head, rows)}"
-
-
-__all__ = ["Method", "measure", "write"]

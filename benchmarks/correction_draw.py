@@ -1,4 +1,4 @@
-"""Pictures of the correction benchmark, each as PNG and SVG."""
+"""Pictures of the correction benchmark: curves as PNG and SVG, maps as PNG."""
 
 import contextlib
 
@@ -12,19 +12,19 @@ MODEL_COLOURS = ("#dddddd", "#56b4e9", "#e69f00", "#d55e00", "#009e73", "#cc79a7
 
 
 @contextlib.contextmanager
-def figure(stem, rows, columns, size, *, ratios=None):
-    """Axes (rows, columns) that are written to `stem`.png and .svg at the end."""
+def figure(stem, rows, columns, size, *, svg=False):
+    """Axes (rows, columns) that are written to `stem`.png, and to .svg, at the end."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     with plt.rc_context({"svg.fonttype": "none", "svg.hashsalt": "toftools", "font.size": 9}):
-        fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained",
-                                 width_ratios=ratios)  # fmt: skip
+        fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
         yield fig, axes
-        for kind, extra in (("png", {"dpi": 110}), ("svg", {"metadata": {"Date": None}})):
-            fig.savefig(stem.with_suffix(f".{kind}"), **extra)
+        fig.savefig(stem.with_suffix(".png"), dpi=110)
+        if svg:
+            fig.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
         plt.close(fig)
 
 
@@ -59,14 +59,9 @@ def planted_figure(result, entry, name, stem):
                 if last:
                     bar = fig.colorbar(mesh, ax=axis, location="bottom", aspect=40, pad=0.02)
                     bar.outline.set(lw=0.4)
-            line[0].set_ylabel(f"{_short(label)}\nratio", fontsize=8.5, fontweight="bold")
+                    bar.ax.xaxis.set_major_formatter("{x:g}")
+            line[0].set_ylabel(f"{label.partition(':')[0]}\nratio", fontsize=8, fontweight="bold")
         fig.suptitle(f"{name}: two returns; bottom row of each map: lone return", fontsize=12)
-
-
-def _short(label, longest=26):
-    """A label that fits beside a map."""
-    name, _, params = label.partition(":")
-    return name if not params else f"{name}\n{params}"[: longest + len(name)]
 
 
 def _map(axis, values, cmap, norm):
@@ -93,7 +88,7 @@ def lines_figure(panels, stem, *, xlabel, ylabel, columns=2, logx=False):
     names = list(dict.fromkeys(n for _, curves in panels for n in curves))
     looks = {n: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)])
              for i, n in enumerate(names)}  # fmt: skip
-    with figure(stem, rows, columns, (6 * columns, 3.4 * rows + 0.5)) as (fig, axes):
+    with figure(stem, rows, columns, (6 * columns, 3.4 * rows + 0.5), svg=True) as (fig, axes):
         for axis in axes.flat[len(panels) :]:
             axis.set_visible(False)
         for axis, (title, curves) in zip(axes.flat, panels, strict=False):

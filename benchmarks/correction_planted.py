@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from correction_methods import (
-    Method,
     built,
     failure,
     methods,
@@ -32,6 +31,14 @@ SENSORS = {
     "kinect2_nominal": "kinect2_nominal",
     "equispaced": "deeptof:freqs=20e6+40e6+60e6+80e6+100e6",
 }
+# For methods that suit none of these: the first that suits one.
+MADE_FOR = {
+    "octave": "deeptof:freqs=40e6+80e6",
+    "four_equispaced": "deeptof:freqs=20e6+40e6+60e6+80e6",
+    "phasor_imaging": "phasor_imaging",
+    "heide2013": "heide2013",
+}
+BESIDE = ("crt", "auto")
 SEPARATIONS_M = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)
 RATIOS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
 WATCHED = 0.3  # ratio at which the breaking point is told
@@ -41,7 +48,7 @@ SIGNAL_E = 100_000.0
 OUTLIER_M = 0.5
 USEFUL_M = 0.05
 NORMAL_MEDIAN = 0.6745  # median absolute value of a unit normal
-BUDGET_S = 6.0
+BUDGET_S, MOST_S, CALL_S = 4.0, 40.0, 0.1
 COARSE_PIXELS = 48
 
 
@@ -106,13 +113,16 @@ def cells(quick):
 
 
 def plan_of(run, sensor, frame, n_cells):
-    """Rows of the frame that a cell may have, and whether every second cell must do."""
+    """Rows of the frame that a cell may have, whether every second cell must do, ms a pixel."""
     few = sliced(frame, 1, 8)
     _, ms = timed(run, few, repeats=2)
-    affordable = 1e3 * BUDGET_S / n_cells / (ms / 8)
+    ms_pixel = ms / 8
+    if ms < 1e3 * CALL_S:  # mostly the call itself: only more pixels tell
+        ms_pixel = timed(run, sliced(frame, 4, 32), repeats=2)[1] / 128
+    affordable = 1e3 * BUDGET_S / n_cells / ms_pixel
     if affordable >= COARSE_PIXELS:
-        return min(max(int(affordable) // SIZE[1], 2), sensor.camera.shape[0]), False
-    return 2, True
+        return min(max(int(affordable) // SIZE[1], 2), sensor.camera.shape[0]), False, ms_pixel
+    return 2, True, ms_pixel
 
 
 def sliced(frame, rows, columns):
@@ -133,7 +143,9 @@ def one_method(job, method, sensor, frames, shape):
     if "indirect" in info and "model" not in info:
         return "models light between the surfaces it sees, and planted returns come from none"
     truth, frame = frames[0, 0]
-    rows, coarse = plan_of(run, sensor, frame, len(frames))
+    rows, coarse, ms_pixel = plan_of(run, sensor, frame, len(frames))
+    if coarse and len(frames) / 4 * COARSE_PIXELS * ms_pixel > 1e3 * MOST_S:
+        return f"takes {ms_pixel:.3g} ms a pixel: left out"
     maps = {key: np.full(shape, np.nan) for key in ("error_m", "outliers", "spread", "valid")}
     pixels, ms = 0, 0.0
     for (i, j), (truth, frame) in frames.items():
@@ -159,28 +171,52 @@ def sliced_truth(truth, shape):
 
 
 def measure(job):
-    """All sensors and all methods."""
+    """The sensors everybody has, then those that the methods left over were made for."""
     separations, ratios, grid = cells(job.quick)
-    shape = (len(ratios) + 1, len(separations))
-    found = {}
+    found, left = {}, {method.name for method in methods(job)}
     for name, text in list(SENSORS.items())[: 1 if job.quick else None]:
-        sensor = camera_of(text, (6, 8) if job.quick else SIZE)
-        frames, bound = {}, np.full(shape, np.nan)
-        for seed, (place, (separation, ratio)) in enumerate(grid.items()):
-            truth, frame, charge = shoot(sensor, separation, ratio, seed)
-            frames[place] = truth, frame
-            at = place if place[0] else (0, slice(None))
-            bound[at] = bound_m(sensor, frame, charge, separation, ratio)
-        kept, refused = {}, {}
-        for method in methods(job, max_range_m=END_M):
-            job.log(f"planted, {name}: {method.label}")
-            try:
-                maps = one_method(job, method, sensor, frames, shape)
-            except Exception as error:  # a result of this benchmark
-                maps = failure(job, method, error)
-            (refused if isinstance(maps, str) else kept)[method.label] = maps
-        found[name] = {"sensor": text, "bound_m": bound, "methods": kept, "unsuited": refused}
-    return plain({"separations_m": separations, "ratios": ratios, "sensors": found})
+        found[name] = one_sensor(job, text, grid, (len(ratios) + 1, len(separations)))
+        left -= {shown.partition(":")[0] for shown in found[name]["methods"]}
+    for name, text in () if job.quick else MADE_FOR.items():
+        if not suits(job, left, text):
+            continue
+        asked = {*left, *BESIDE}
+        entry = one_sensor(job, text, grid, (len(ratios) + 1, len(separations)), asked)
+        suited = left & {shown.partition(":")[0] for shown in entry["methods"]}
+        if suited:
+            found[name] = {**entry, "unsuited": {}}
+        left -= suited
+    return plain({"separations_m": separations, "ratios": ratios, "sensors": found,
+                  "left": sorted(left)})  # fmt: skip
+
+
+def suits(job, names, text):
+    """Whether any of these methods can be made for the sensor."""
+    sensor = camera_of(text, SIZE)
+    asked = [m for m in methods(job, max_range_m=END_M) if m.name in names]
+    return any(not isinstance(built(job, m, sensor), str) for m in asked)
+
+
+def one_sensor(job, text, grid, shape, names=None):
+    """Bound and maps of the methods; `names` limits which."""
+    sensor = camera_of(text, (6, 8) if job.quick else SIZE)
+    frames, bound = {}, np.full(shape, np.nan)
+    for seed, (place, (separation, ratio)) in enumerate(grid.items()):
+        truth, frame, charge = shoot(sensor, separation, ratio, seed)
+        frames[place] = truth, frame
+        at = place if place[0] else (0, slice(None))
+        bound[at] = bound_m(sensor, frame, charge, separation, ratio)
+    kept, refused = {}, {}
+    for method in methods(job, max_range_m=END_M):
+        if names is not None and method.name not in names:
+            continue
+        job.log(f"planted, {text}: {method.label}")
+        try:
+            maps = one_method(job, method, sensor, frames, shape)
+        except Exception as error:  # a result of this benchmark
+            maps = failure(job, method, error)
+        (refused if isinstance(maps, str) else kept)[method.label] = maps
+    return {"sensor": text, "bound_m": bound, "methods": kept, "unsuited": refused}
 
 
 def breaking_m(result, bound, maps):
@@ -249,7 +285,6 @@ def write(result, folder):
         parts.append(table(HEAD, rows_of(result, entry)))
         parts.append(f"![Error and efficiency, {name}](planted_{name}.png)")
         parts.append(sentences(entry["unsuited"]))
+    if result["left"]:
+        parts.append(f"On none of these sensors: {', '.join(result['left'])}.")
     return "\n\n".join(filter(None, parts))
-
-
-__all__ = ["Method", "measure", "write"]
