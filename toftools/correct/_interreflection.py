@@ -95,7 +95,7 @@ def freed(phasors: Phasors, view: Optics, recipe: Recipe) -> DepthMap:
     """
     plain = search(phasors, recipe.walk, top=1)
     valid = phasors.valid & (plain.information > 0)
-    values = np.where(valid, phasors.values, np.complex64(0))
+    values = np.ascontiguousarray(np.where(valid, phasors.values, np.complex64(0)))
     none = np.zeros_like(values)
     start = _State(plain, none, none.real, recipe.albedo_gain, plain.range_m[0])
     state, reach = start, _reach_px(view, plain, valid, known=phasors.sigma is not None)
