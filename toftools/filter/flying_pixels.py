@@ -10,7 +10,8 @@ that of neither. A pixel is kept if one of two things holds, each within ``gap_m
   ``w_p = 2 w_1 - w_2``, w = 1/z, on planes of any tilt.
 
 Where fewer than eight can be asked (image border, pixels without an answer), shares of eight count.
-All others become NaN with status REJECTED.
+All others become NaN with status REJECTED. Where sigma is unknown, z is taken to be equally noisy
+everywhere, as the median second difference along the rows says.
 
 Reference: ours. The usual filter by the angle between ray and surface, whose idea ShadowPoints of
 the Point Cloud Library has, cannot tell a flying pixel from a steep wall. Input: a depth map,
@@ -31,8 +32,8 @@ only where much may be lost; and 5 degrees take half of a wall tilted by 85, of 
 loses no pixel. After `smooth` more goes of both: 80 and 1.7 % at 3 neighbours.
 
 Fails on wires and leaves thinner than three pixels, which are lost where they bend or tilt; where
-flying pixels lie side by side along an edge and agree by chance; and, if sigma is unknown, wherever
-the noise exceeds `gap_m`, which then has to be raised.
+flying pixels lie side by side along an edge and agree by chance; and, if sigma is unknown, where
+the noise is well above that of most of the image (dark and far pixels) and above `gap_m`.
 """
 
 from collections.abc import Callable
@@ -47,6 +48,8 @@ from toftools.types import F32, Bool, DepthMap, Phasors, Sensor
 STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 NEAREST_M = np.float32(1e-3)
 """Least z that is told from zero."""
+SECOND_DIFFERENCE = np.sqrt(6.0) * 0.6745
+"""Median modulus of ``x1 - 2 x2 + x3`` for noise of standard deviation 1."""
 MOST_M = np.float32(1e6)
 """No sigma is larger; squares of sigma / z^2 stay finite."""
 
@@ -65,7 +68,7 @@ def flying_pixels(
     gap_m : float
         Difference of z that is none, m.
     noise_sigmas : float
-        The same in standard deviations of the difference, on top; 0 ignores `sigma_m`.
+        The same in standard deviations of the difference, on top; 0 ignores noise.
 
     Returns
     -------
@@ -110,11 +113,7 @@ def flying_pixels(
             )
             raise ValueError(msg)
         w = 1 / np.maximum(depth.range_m * forward, NEAREST_M)
-        noise = np.zeros_like(w)
-        if depth.sigma_m is not None:
-            known = np.isfinite(depth.sigma_m)
-            scale = (forward * w * w)[known] * np.float32(noise_sigmas)
-            noise[known] = np.minimum(depth.sigma_m[known], MOST_M) * scale
+        noise = _noise(w, depth, forward) * np.float32(noise_sigmas)
         flying = np.zeros(w.shape, np.bool_)
         _judge(kernel_input(w), noise * noise, np.float32(gap_m), least_neighbours, flying)
         return _without(depth, flying)
@@ -122,6 +121,18 @@ def flying_pixels(
     tiny = np.ones((1, 1), np.float32)  # compiling belongs to making
     _judge(kernel_input(tiny), tiny, np.float32(gap_m), least_neighbours, tiny > 1)
     return run
+
+
+def _noise(w: F32, depth: DepthMap, forward: F32) -> F32:
+    """Standard deviation of w = 1/z; alike everywhere in z where the depth map tells none."""
+    if depth.sigma_m is None:
+        bend = np.abs(w[:, :-2] - 2 * w[:, 1:-1] + w[:, 2:]) / w[:, 1:-1] ** 2
+        known = bend[np.isfinite(bend)]
+        sigma_z_m = np.median(known) / SECOND_DIFFERENCE if known.size else 0.0
+        return np.asarray(np.float32(sigma_z_m) * w * w)
+    known = np.isfinite(depth.sigma_m)
+    sigma_m = np.where(known, np.minimum(depth.sigma_m, MOST_M), np.float32(0))
+    return np.asarray(sigma_m * forward * w * w)
 
 
 def _without(depth: DepthMap, flying: Bool) -> DepthMap:
