@@ -82,8 +82,12 @@ def _ticks(axis, result, *, bottom, left):
         axis.set_xlabel("separation, m", fontsize=8)
 
 
-def lines_figure(panels, stem, *, xlabel, ylabel, columns=2, logx=False):
-    """Panels of (title, {name: (x, y)}), both lists; the y axis is logarithmic."""
+def lines_figure(panels, stem, *, xlabel, ylabel, columns=2):
+    """Panels of (title, {name: (x, y)}), both lists; one logarithmic y axis for all."""
+    from matplotlib.ticker import LogLocator
+
+    every = [y for _, curves in panels for _, ys in curves.values() for y in ys if y]
+    low, high = max(min(every), max(every) / 1e5), max(every)  # one scale, to compare panels
     rows = -(-len(panels) // columns)
     names = list(dict.fromkeys(n for _, curves in panels for n in curves))
     looks = {n: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)])
@@ -99,12 +103,13 @@ def lines_figure(panels, stem, *, xlabel, ylabel, columns=2, logx=False):
                     x, np.where(y > 0, y, np.nan), color=colour, marker=marker, ms=4.5, lw=1.4
                 )
             axis.set_yscale("log")
-            if logx:
-                axis.set_xscale("log")
             axis.set_title(title, loc="left", fontsize=10, fontweight="bold")
             axis.set(xlabel=xlabel, ylabel=ylabel)
+            axis.set_ylim(low / 1.3, high * 1.3)
+            axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.yaxis.set_major_formatter("{x:g}")
-            axis.grid(color="#e8e8e8", which="both", lw=0.6)
+            axis.yaxis.set_minor_formatter("")
+            axis.grid(color="#e8e8e8", lw=0.6)
             axis.set_axisbelow(True)
             axis.spines[["top", "right"]].set_visible(False)
         _legend(fig, looks)

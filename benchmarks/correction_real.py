@@ -190,9 +190,10 @@ def write(result, folder):
             "noise / sigma", "valid %", "ms per 320 x 240"]  # fmt: skip
     for name, entry in result["captures"].items():
         shares = ", ".join(f"{100 * s:.0f} %" for s in entry["planes"]) or "none found"
-        before = number(entry["before_m"], ".1f", 1e3)
-        parts.append(f"### {name}\n\nPlanes, share of the pixels: {shares}. d40 - d70 before: "
-                     f"{before} mm.")  # fmt: skip
+        text = f"### {name}\n\nPlanes, share of the pixels: {shares}."
+        if entry["before_m"] is not None:
+            text += f" d40 - d70 before: {number(entry['before_m'], '.1f', 1e3)} mm."
+        parts.append(text)
         rows = [[f"`{label}`", number(row.get("after_m"), ".1f", 1e3),
                  number(row["flat_m"], ".2f", 1e3),
                  number(row.get("noise_m"), ".2f", 1e3), number(row.get("noise_ratio")),

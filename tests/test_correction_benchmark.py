@@ -62,6 +62,8 @@ def pretended(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     targets = {"auto": "half", "half": "half", "broken": "broken"}
     added = {name: Spec(f"pretended:{target}", name=name) for name, target in targets.items()}
+    added["fuchs2010_all_pairs"] = Spec("pretended:half", name="fuchs2010_all_pairs")
+    added["fuchs2010"] = Spec("pretended:half", {"tol_mm": (1.0,)}, name="fuchs2010")
     table = {name: CORRECTIONS[name] for name in FEW}
     monkeypatch.setattr(registry, "CORRECTIONS", MappingProxyType({**table, **added}))
 
@@ -87,6 +89,9 @@ def test_every_section_runs_and_an_earlier_one_stays(bench, pretended, tmp_path)
     near, far = ([r["change_m"] for r in after["auto"]["clean"] if f"{d} m" in r["scene"]]
                  for d in (2, 6))  # fmt: skip
     assert max(near) < 0.6 < 4 < min(far)  # the pretended one says 2 m; rims are farther
+    brute, fast = after["diffuse"]["production"]["found"]["corner, 40 + 70 MHz"]
+    assert (brute["label"], fast["label"]) == ("fuchs2010_all_pairs", "fuchs2010:tol_mm=1")
+    assert fast["rms_m"] == 0 < fast["ms"]
     falls = [row["fallback"] for rows in after["diffuse"]["albedo"]["found"]["40 + 70 MHz"].values()
              for row in rows["half"]]  # fmt: skip
     assert falls == [0.25] * len(falls)
