@@ -134,7 +134,9 @@ def write(result, folder):
               number(row.get("change_m"), ".3f", 1e3),
               number(row.get("share_above_1cm"), ".2f", 100), number(row.get("lost"), ".2f", 100)]
              for row in result["clean"]]  # fmt: skip
+    reasons = dict.fromkeys(row["unsuited"] for row in result["clean"] if "unsuited" in row)
     parts = [
+        "\n".join(f"- `{AUTO}` does not suit a sensor: {why}" for why in reasons),
         "### No multipath: change against `crt`",
         table(["capture", "noise", "mean change mm", "above 1 cm %", "not answered %"], clean),
         "### Against every other method",
