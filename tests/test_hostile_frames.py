@@ -5,7 +5,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from test_laws_correction import CASES, GRID_M, RECOVERY_M, SLOW, SPATIAL, built, longest_m, planted
+from test_laws_correction import CASES as LAW_CASES
+from test_laws_correction import GRID_M, RECOVERY_M, SIZE, SLOW, SPATIAL, built, longest_m, planted
 
 from toftools.camera import resized
 from toftools.correct import INVALID, OK, REJECTED
@@ -13,7 +14,10 @@ from toftools.registry import CORRECTIONS
 from toftools.sensors import sensor as preset
 from toftools.types import Phasors
 
-H, W = 6, 8
+H, W = 3, 4
+SMALL = f"width={W},height={H}"
+# What goes wrong goes wrong in one pixel: small frames, since some entries take their time.
+CASES = [(name, text.replace(SIZE.strip(":"), SMALL)) for name, text in LAW_CASES]
 MOST_MB = 256
 """What a frame of 4096 pixels may take: an entry that holds a range grid for all of them at once
 takes more, and gigabytes at four million."""
@@ -62,7 +66,7 @@ def test_a_saturated_frame_is_invalid_throughout(name, text):
 
 @each_case
 @pytest.mark.parametrize("known", [True, False], ids=["sigma", "no_sigma"])
-@pytest.mark.parametrize("amplitude", [1e30, 1e15, 1e-15, 1e-30])
+@pytest.mark.parametrize("amplitude", [1e30, 1e-30])
 def test_huge_and_tiny_amplitudes_give_the_range_or_none(name, text, amplitude, known):
     sigma = 1e-3 * amplitude
     depth = built(name, text)(
@@ -80,7 +84,7 @@ def test_strange_sigma_in_places_hurts_no_other_pixel(name, text, value):
     frame = frame_of(name, text)
     run = built(name, text)
     sigma, strange = np.array(frame.sigma), np.zeros((H, W), bool)
-    strange[1, 2] = strange[4, 5] = True
+    strange[0, 1] = strange[2, 3] = True
     sigma[:, strange] = value
     depth = run(Phasors(frame.values, sigma))
     status = said(depth)
@@ -146,7 +150,7 @@ def test_a_frequency_twice_is_refused_or_harmless(name, text):
 
 
 @each_case
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4096), (4096, 1)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4096), (64, 1)])
 def test_pixels_and_lines(name, text, shape):
     if name in SLOW and max(shape) > 1:
         shape = tuple(min(n, 16) for n in shape)
