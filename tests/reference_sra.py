@@ -1,42 +1,51 @@
-"""Slow readable twins of the SRA kernels: the cell by HiGHS, the look-up in plain Python."""
+"""Slow readable twins of the SRA kernels: the program by HiGHS, the look-up and the fit plainly."""
 
 import numpy as np
-from scipy.optimize import linprog
+from scipy.optimize import least_squares, linprog
 
-from toftools.correct._sra_grid import GUARD_M, TIE
-from toftools.correct._sra_simplex import residual_columns
-from toftools.correct.sra import SAME_M
-
-
-def turned_columns(atoms, phase_rad):
-    """Columns of the linear program of one cell, (5, N + residual and slack)."""
-    turned = atoms * np.exp(-1j * np.array([0.0, phase_rad]))[:, None]
-    rows = [turned[0].real, turned[0].imag, turned[1].real, turned[1].imag, 0 * turned[0].real]
-    return np.hstack([np.array(rows), residual_columns()])
+from toftools.correct._returns import GUARD_M
+from toftools.correct._sra_grid import SIDES, TIE
+from toftools.correct._sra_lookup import SAME_M
+from toftools.units import range_to_phase
 
 
-def solve(columns, n_atoms, first, last, goal, epsilon):
+def columns(atoms, turn, weights):
+    """Columns of the linear program, (2 F + 1, N + residual and slack), and unit costs but the tie.
+
+    Rows are real and imaginary part per frequency and the share in the gauge.
+    """
+    n_freqs, n_cells = atoms.shape
+    turned = atoms * turn[:, None]
+    whole = np.zeros((2 * n_freqs + 1, n_cells + n_freqs * SIDES + 1))
+    corners = np.exp(2j * np.pi * np.arange(SIDES) / SIDES)
+    for f in range(n_freqs):
+        own = slice(n_cells + f * SIDES, n_cells + (f + 1) * SIDES)
+        whole[2 * f, :n_cells], whole[2 * f + 1, :n_cells] = turned[f].real, turned[f].imag
+        whole[2 * f, own], whole[2 * f + 1, own], whole[-1, own] = (
+            corners.real, corners.imag, weights[f],
+        )  # fmt: skip
+    whole[-1, -1] = 1.0
+    return whole
+
+
+def solve(atoms, window, unit, turn, weights, epsilon):
     """Amplitudes and unit costs of the grid cells, or None if nothing satisfies the bound."""
-    use = np.arange(columns.shape[1])
-    use = np.flatnonzero((use >= n_atoms) | ((use >= first) & (use < last)))
-    a, b = goal
-    cost = np.zeros(columns.shape[1])
-    cost[:n_atoms] = 1 - TIE * ((a * columns[0] + b * columns[2])[:n_atoms] / (a + b)) ** 2
-    solution = linprog(
-        cost[use],
-        A_eq=columns[:, use],
-        b_eq=[a, 0, b, 0, epsilon * (a + b)],
-        method="highs",
-    )
+    whole, n_cells = columns(atoms, turn, weights), atoms.shape[1]
+    agreement = unit @ (atoms * turn[:, None]).real / unit.sum()
+    cost = np.zeros(whole.shape[1])
+    cost[:n_cells] = 1 - TIE * agreement**2
+    use = np.r_[np.arange(*window), np.arange(n_cells, whole.shape[1])]
+    goal = np.r_[np.stack([unit, 0 * unit], axis=1).ravel(), epsilon * weights @ unit]
+    solution = linprog(cost[use], A_eq=whole[:, use], b_eq=goal, method="highs")
     if not solution.success:
         return None
-    amounts = np.zeros(n_atoms)
-    amounts[use[use < n_atoms]] = solution.x[use < n_atoms]
-    return amounts, cost[:n_atoms]
+    amounts = np.zeros(n_cells)
+    amounts[window[0] : window[1]] = solution.x[: window[1] - window[0]]
+    return amounts, cost[:n_cells]
 
 
 def look_up(z0, z1, table, first_share):
-    """Range, share of the first return and number of returns of one pixel."""
+    """Ranges and amplitudes of one pixel's returns, nearest first."""
     moved_m, phase = canonical(z0, z1, table)
     s = 0 if np.isinf(table.window_m) else int(moved_m / table.window_m)
     windows, ratios, phases = table.share.shape[:3]
@@ -45,16 +54,14 @@ def look_up(z0, z1, table, first_share):
     y = min(phase / table.span_rad, 1.0) * (phases - 1)
     range_m, share = table.range_m[s], table.share[s]
     node = (round(x), round(y))
-    there = [k for k in range(4) if share[node][k] > 0]
-    ranges = {k: unwrapped(float(range_m[node][k]) + moved_m, table) for k in there}
-    inside = [k for k in there if -GUARD_M <= ranges[k] <= table.limit_m]
-    if not inside:
-        return np.nan, 0.0, 0
-    strongest = max(share[node][k] for k in inside)
-    strong = [k for k in inside if share[node][k] >= first_share * strongest]
-    first = min(strong, key=lambda k: ranges[k])
-    shift = interpolated(range_m, share, x, y, float(range_m[node][first]))
-    return max(ranges[first] + shift, 0.0), share[node][first], len(strong)
+    found = []
+    for at, strength in zip(range_m[node], share[node], strict=True):
+        at_m = unwrapped(float(at) + moved_m, table)
+        if strength > 0 and -GUARD_M <= at_m <= table.limit_m:
+            shift = interpolated(range_m, share, x, y, float(at))
+            found.append((max(at_m + shift, 0.0), strength * max(abs(z0), abs(z1))))
+    strongest = max((strength for _, strength in found), default=0.0)
+    return sorted(pair for pair in found if pair[1] >= first_share * strongest)
 
 
 def canonical(z0, z1, table):
@@ -83,3 +90,16 @@ def interpolated(range_m, share, x, y, node_m):
                 return 0.0
             change += weight * closest if weight > 0 else 0.0
     return change
+
+
+def fit(z, sigma, freqs_hz, ranges_m, amplitudes):
+    """Ranges of a pixel's returns by scipy's least squares, from a start."""
+    n = len(ranges_m)
+
+    def residual(x):
+        turn = np.exp(1j * range_to_phase(x[n:], freqs_hz[:, None]))
+        rest = (z - turn @ x[:n]) / sigma
+        return np.r_[rest.real, rest.imag]
+
+    start = np.r_[amplitudes, ranges_m]
+    return least_squares(residual, start, method="lm", xtol=1e-12, ftol=1e-12).x[n:]

@@ -4,7 +4,9 @@ The linear program shrinks amplitudes and moves returns until the residual is al
 at the default of 5 % by 0.5 to 6 cm, where noise moves them by millimetres. It is good at saying
 how many returns there are and about where. From there least squares goes on, weighted by the
 noise where that is known: ``min sum_f |z_f - sum_l a_l exp(j k_f d_l)|^2 / sigma_f^2`` over the L
-returns that are strong enough, by Gauss-Newton. This step is ours, not the paper's.
+returns that are strong enough, by Gauss-Newton. Only as many of them are kept, the strongest, as
+the noise asks for: the program splits returns when that makes the sum smaller. Where sigma is
+unknown, epsilon is taken for three times the noise. All this is ours, not the paper's.
 
 Reference: textbook least squares; the covariance is the inverse of the normal matrix, the
 Cramer-Rao bound of `crlb_returns_m`, times the reduced chi-squared where noise cannot explain the
@@ -140,23 +142,27 @@ def fit_returns(
         for p in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
             count = 0
             while count < most and amplitudes[count, p] > 0:
-                d[count], a[count] = ranges_m[count, p], amplitudes[count, p]
                 count += 1
             if count == 0:
                 continue
             _weigh(values, sigma, known, p, bounds.epsilon, z, weight)
-            sigma_m[p] = _push(z, weight, rad_per_m, a[0], bounds.epsilon)
-            if count > n_freqs:
-                continue
-            at, size = d[:count], a[:count]
-            if not _fit(z, weight, rad_per_m, at, size, matrix, right, rows):
-                continue
-            own_m = _settle(z, weight, rad_per_m, known, bounds, at, size, matrix, right, rows)
-            if count > 1 and not own_m < sigma_m[p]:
-                continue
-            sigma_m[p] = own_m
-            for k in range(count):
-                ranges_m[k, p], amplitudes[k, p] = max(d[k], 0.0), a[k]
+            sigma_m[p] = _push(z, weight, rad_per_m, amplitudes[0, p], bounds.epsilon)
+            for few in range(1, min(count, n_freqs) + 1):
+                _strongest(ranges_m[:, p], amplitudes[:, p], d[:few], a[:few])
+                if not _fit(z, weight, rad_per_m, d[:few], a[:few], matrix, right, rows):
+                    continue
+                own_m, excess = _settle(
+                    z, weight, rad_per_m, bounds, d[:few], a[:few], matrix, right, rows
+                )
+                if few < count and (excess > 1 or few == n_freqs):
+                    continue  # too few, or as many unknowns as numbers: nothing was tested
+                own_m *= np.sqrt(excess) if known else 1.0
+                if few == 1 or own_m < sigma_m[p]:
+                    sigma_m[p] = own_m
+                    ranges_m[:, p], amplitudes[:, p] = np.nan, 0.0
+                    for k in range(few):
+                        ranges_m[k, p], amplitudes[k, p] = max(d[k], 0.0), a[k]
+                break
     return sigma_m
 
 
@@ -175,6 +181,17 @@ def _weigh(
     for f in range(z.size):
         noise = np.float64(sigma[f, p]) if known else epsilon * mean / UNKNOWN_NOISE
         weight[f] = 1 / max(noise, LEAST_NOISE * mean) ** 2
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _strongest(ranges_m: F32, amplitudes: F32, d: F64, a: F64) -> None:
+    """Fill d and a with the strongest returns."""
+    a[:] = -1.0
+    for j in range(ranges_m.size):
+        at, size = np.float64(ranges_m[j]), np.float64(amplitudes[j])
+        for k in range(a.size):
+            if size > a[k]:
+                d[k], at, a[k], size = at, d[k], size, a[k]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
@@ -215,26 +232,26 @@ def _fit(
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _settle(
-    z: C128, weight: F64, rad_per_m: F64, known: bool, bounds: Bounds, d: F64, a: F64,
+    z: C128, weight: F64, rad_per_m: F64, bounds: Bounds, d: F64, a: F64,
     matrix: F64, right: F64, rows: F64,
-) -> float:  # fmt: skip
-    """Bring the fitted ranges into the limits and into order; sigma of the first, m."""
+) -> tuple[float, float]:  # fmt: skip
+    """Bring the fitted ranges into the limits and into order.
+
+    Returns sigma of the first, m, and reduced chi-squared where noise cannot explain it, else 1.
+    """
     n, top = d.size, rad_per_m.max()
     for k in range(n):
         d[k] = unwrapped(d[k], bounds.period_m)
     sort_strong(d, a, n, 0.0)
-    if not -GUARD_M <= d[0] <= bounds.limit_m:
-        return np.inf
     chi2 = _normal(z, weight, rad_per_m, d, a, matrix, right, rows)
-    if not cholesky(matrix, 2 * n):
-        return np.inf
+    if not (-GUARD_M <= d[0] <= bounds.limit_m and cholesky(matrix, 2 * n)):
+        return np.inf, np.inf
     right[:] = 0.0
     right[n] = 1.0
     substitute(matrix, right, 2 * n)
-    variance, freedom = right[n] / (top * a[0]) ** 2, 2 * (z.size - n)
-    if known and chi2 > freedom + SURPRISE * np.sqrt(2.0 * freedom) and freedom > 0:
-        variance *= chi2 / freedom
-    return float(np.sqrt(variance))
+    sigma_m, freedom = np.sqrt(right[n]) / (top * a[0]), 2.0 * (z.size - n)
+    surprise = chi2 > freedom + SURPRISE * np.sqrt(2.0 * freedom)
+    return sigma_m, chi2 / freedom if freedom > 0 and surprise else 1.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types

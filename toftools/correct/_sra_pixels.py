@@ -18,8 +18,6 @@ from toftools.correct._sra_small import C128, join, sort_strong, unwrapped
 from toftools.types import F32, F64
 from toftools.units import range_to_phase
 
-MOST_RETURNS = 4
-"""Returns that are kept, the nearest; a program has at most 2 F occupied cells."""
 BLOCK = 64
 """Pixels that share the arrays of a solver."""
 
@@ -102,12 +100,13 @@ def solve_pixels(
 
     Returns
     -------
-    ranges_m, amplitudes : ndarray, (4, P)
-        Nearest returns of those that are strong enough, in ascending range; NaN and 0 for none.
+    ranges_m, amplitudes : ndarray, (2 F, P)
+        Returns that are strong enough, in ascending range; NaN and 0 for none.
     """
     n_freqs, n = values.shape
-    ranges_m = np.full((MOST_RETURNS, n), np.nan, np.float32)
-    amplitudes = np.zeros((MOST_RETURNS, n), np.float32)
+    most = 2 * n_freqs  # 2 F + 1 rows, one taken by the slack or the residual
+    ranges_m = np.full((most, n), np.nan, np.float32)
+    amplitudes = np.zeros((most, n), np.float32)
     for block in prange((n + BLOCK - 1) // BLOCK):
         work, z, w = make_work(grid), np.empty(n_freqs, np.complex128), np.empty(n_freqs)
         unit, turn = np.empty(n_freqs), np.empty(n_freqs, np.complex128)
@@ -129,7 +128,7 @@ def solve_pixels(
             for k in range(found):
                 at[k] = unwrapped(moved_m + plan.start_m + plan.step_m * at[k], plan.period_m)
             found = sort_strong(at, strength, found, plan.first_share)
-            for k in range(min(found, MOST_RETURNS)):
+            for k in range(found):
                 ranges_m[k, p], amplitudes[k, p] = max(at[k], 0.0), scale * strength[k]
     return ranges_m, amplitudes
 
