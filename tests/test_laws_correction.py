@@ -34,6 +34,20 @@ SENSORS = {
     "gupta2015": ("phasor_imaging" + SIZE,),
     "dorrington2011": (TWO, THREE),
     "godbaz2012_ratio": ("deeptof:freqs=20e6+40e6" + SIZE.replace(":", ","),),
+    "kirmani2013": tuple(
+        f"deeptof:freqs={freqs},width={W},height={H}"
+        for freqs in ("20e6+40e6+60e6", "50e6+70e6+90e6+110e6")
+    ),
+    "bhandari2014": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
+    "bhandari2014_annihilating": (
+        "deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),
+        "deeptof:freqs=90e6+50e6+110e6+70e6" + SIZE.replace(":", ","),
+    ),
+    "peters2015": ("deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),),
+    "peters2015_pisarenko": tuple(
+        f"deeptof:freqs={freqs},width={W},height={H}"
+        for freqs in ("20e6+40e6+60e6+80e6", "20e6+40e6")
+    ),
     "godbaz2012_cauchy": ("deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),),
 }
 CASES = [(name, text) for name in CORRECTIONS for text in SENSORS.get(name, (TWO,))]

@@ -202,6 +202,22 @@ CORRECTIONS = _table(
         "toftools.correct.godbaz2012_cauchy:godbaz2012_cauchy",
         grid={"first_share": (0.02, 0.05, 0.1), "false_alarm": (1e-5, 1e-3, 0.1)},
     ),
+    kirmani2013=Spec(
+        "toftools.correct.kirmani2013:kirmani2013", grid={"refine": (0, 2, 20), "returns": (1, 2)}
+    ),
+    bhandari2014=Spec(
+        "toftools.correct.bhandari2014:bhandari2014",
+        grid={"refine": (0, 2, 20), "returns": (1, 2, 3)},
+    ),
+    bhandari2014_annihilating=Spec(
+        "toftools.correct.bhandari2014_annihilating:bhandari2014_annihilating",
+        grid={"refine": (0, 2, 20), "returns": (1, 2)},
+    ),
+    peters2015=Spec("toftools.correct.peters2015:peters2015", grid={"bias": (0.3, 1.0, 3.0)}),
+    peters2015_pisarenko=Spec(
+        "toftools.correct.peters2015_pisarenko:peters2015_pisarenko",
+        grid={"refine": (0, 2, 20), "returns": (2, 4)},
+    ),
     semi_global=Spec("toftools.correct.semi_global:semi_global", grid={"jump": (0.0, 2.0, 8.0)}),
     two_returns=Spec("toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}),
 )
