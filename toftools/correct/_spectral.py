@@ -142,7 +142,8 @@ def least_returns(
             poor = best.chi2 > chi2_limit(free, POOR)
             if not poor.any():
                 break
-            some, its_noise = (np.ascontiguousarray(part[:, poor]) for part in (z, noise))
+            some = np.ascontiguousarray(z[:, poor])
+            its_noise = np.ascontiguousarray(noise[:, poor])
             start = restart(some, its_noise, k, _some(before, poor), order, period_m)
             again = fit_returns(some, its_noise, k, np.ascontiguousarray(start), refine)
             again = _better(_some(best, poor), again)

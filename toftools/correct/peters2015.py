@@ -130,8 +130,8 @@ def peters2015(
         found = Fit(rows, np.zeros(rows.shape), rows.copy(), one.chi2)
         for whole, alone in zip(found[:3], one[:3], strict=True):
             whole[0] = alone[0]
-        some = (np.ascontiguousarray(part[:m, many]) for part in (z, noise))
-        for whole, part in zip(found[:3], density(*some)[:3], strict=True):
+        some, its_noise = np.ascontiguousarray(z[:m, many]), np.ascontiguousarray(noise[:m, many])
+        for whole, part in zip(found[:3], density(some, its_noise)[:3], strict=True):
             whole[:, many] = part
         return found
 
