@@ -32,6 +32,7 @@ SENSORS = {
     "semi_global": (TWO, THREE),
     "two_returns": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
     "gupta2015": ("phasor_imaging" + SIZE,),
+    "heide2013": ("heide2013" + SIZE + ",freqs=" + "+".join(f"{i}0e6" for i in range(1, 17)),),
     "dorrington2011": (TWO, THREE),
     "godbaz2012_ratio": ("deeptof:freqs=20e6+40e6" + SIZE.replace(":", ","),),
     "kirmani2013": tuple(

@@ -190,6 +190,10 @@ CORRECTIONS = _table(
     ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
+    heide2013=Spec(
+        "toftools.correct.heide2013:heide2013",
+        grid={"iterations": (15, 60, 240), "weight": (3e-4, 1e-3, 1e-2)},
+    ),
     dorrington2011=Spec(
         "toftools.correct.dorrington2011:dorrington2011",
         grid={"starts": (1, 2, 4, 8), "max_extra_m": (1.5, 2.5)},
