@@ -26,6 +26,7 @@ When it fails; figures for the preset `heide2013` (10..120 MHz) unless others ar
   decay is meaningless; sigma grows by the misfit, which is not enough.
 - Diffuse light is no exponential. Corner of 90 degrees at 1 m, three bounces: median error 12 mm
   (mean phase of all frequencies: 47 mm). One bounce, 16 frequencies of 10..160 MHz: 15 of 30 mm.
+  Both fit within the noise, so that sigma (0.7 mm) knows nothing of it.
 - Light from beyond `max_range_m` has no place on the grid and becomes a false decay or return.
 - Noise makes false returns: of lone ones at an amplitude of 5, 3.3 sigma per frequency, 0.4 and
   18 % have one nearer or farther than `first_share` ignores; with 16 frequencies none at 20, half
