@@ -10,14 +10,13 @@ alternation of both steps recalled). Input: eight or more frequencies, with or w
 Built here: the i-step with ``x >= 0`` (ours) by ADMM, on phasors instead of raw correlations, then
 one u-step, fitted to the phasors themselves: sharp returns at the peaks (the Gaussian, without
 width), and an exponential behind the nearest one where chi-squared demands it (theirs: behind every
-peak). Left out: the spatial term, since whole images of transients do not fit the memory; a
-smoothing of the phasors beforehand is the same for its quadratic part. `range_m` is the first
-sharp return: off the grid, and not biased by the regularisation.
+peak). Left out: the spatial term, since images of transients do not fit the memory; smoothing the
+phasors beforehand (the filter `smooth`) stands in for it. `range_m` is the first sharp return: off
+the grid, and not biased by the regularisation.
 
 Memory: 0.5 kB per pixel for the answers, and 16 kB (192 cells, 221 frequencies) for each of the
-1024 pixels at work. A frame of 160x120
-with 221 frequencies takes 3 s (one return) to 4 s (two) of one core, two thirds of it for the 60
-iterations; the thesis of Marco reports 90 s for the paper.
+1024 pixels at work. A frame of 160x120 with 221 frequencies takes 3 s (one return) to 4 s (two) of
+one core, two thirds of it for the 60 iterations; the thesis of Marco reports 90 s for the paper.
 
 When it fails; figures for the preset `heide2013` (10..120 MHz) unless others are given:
 
