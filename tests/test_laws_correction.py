@@ -27,7 +27,7 @@ SENSORS = {
     "crt": (ONE, TWO, THREE),
     "residual_voting": (THREE,),
     "kde": (TWO, THREE),
-    "sra": (TWO,),
+    "sra": (TWO, THREE),
     "sra_lp": (TWO,),
     "semi_global": (TWO, THREE),
     "two_returns": (THREE, "deeptof:freqs=20e6+50e6+70e6" + SIZE.replace(":", ",")),
@@ -44,6 +44,7 @@ SENSORS = {
         "deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),
         "deeptof:freqs=90e6+50e6+110e6+70e6" + SIZE.replace(":", ","),
     ),
+    "feigin2016": ("deeptof:freqs=20e6+40e6+60e6+80e6+100e6+120e6" + SIZE.replace(":", ","),),
     "peters2015": ("deeptof:freqs=20e6+40e6+60e6+80e6" + SIZE.replace(":", ","),),
     "peters2015_pisarenko": tuple(
         f"deeptof:freqs={freqs},width={W},height={H}"

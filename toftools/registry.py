@@ -217,6 +217,10 @@ CORRECTIONS = _table(
         "toftools.correct.bhandari2014_annihilating:bhandari2014_annihilating",
         grid={"refine": (0, 2, 20), "returns": (1, 2)},
     ),
+    feigin2016=Spec(
+        "toftools.correct.feigin2016:feigin2016",
+        grid={"returns": (1, 2), "first_share": (0.02, 0.05, 0.1)},
+    ),
     peters2015=Spec("toftools.correct.peters2015:peters2015", grid={"bias": (0.3, 1.0, 3.0)}),
     peters2015_pisarenko=Spec(
         "toftools.correct.peters2015_pisarenko:peters2015_pisarenko",
