@@ -189,6 +189,12 @@ CORRECTIONS = _table(
         "toftools.correct.sra:sra", grid={"max_range_m": (4.0, 0.0), "first_share": (0.01, 0.05)}
     ),
     sra_lp=Spec("toftools.correct.sra_lp:sra_lp"),
+    auto=Spec("toftools.correct.auto:auto"),
+    fuchs2010=Spec(
+        "toftools.correct.fuchs2010:fuchs2010",
+        grid={"tol_mm": (0.3, 1.0, 3.0, 10.0), "iterations": (1, 3)},
+    ),
+    fuchs2010_all_pairs=Spec("toftools.correct.fuchs2010_all_pairs:fuchs2010_all_pairs"),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
     heide2013=Spec(
         "toftools.correct.heide2013:heide2013",
@@ -226,7 +232,7 @@ CORRECTIONS = _table(
         "toftools.correct.peters2015_pisarenko:peters2015_pisarenko",
         grid={"refine": (0, 2, 20), "returns": (2, 4)},
     ),
-    semi_global=Spec("toftools.correct.semi_global:semi_global", grid={"jump": (0.0, 2.0, 8.0)}),
+    semi_global=Spec("toftools.correct.semi_global:semi_global", grid={"jump": (0.0, 4.0, 16.0)}),
     two_returns=Spec("toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}),
 )
 FILTERS = _table(

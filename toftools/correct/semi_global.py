@@ -7,10 +7,10 @@ Per pixel the most likely wrap hypotheses (`_wraps`) compete. Each costs half of
 and neighbours of different range cost ``jump min(|d - d'| / 1 m, 1)``; the hypothesis of least cost
 summed over eight straight paths is the answer (dynamic programming along each path). Two facts
 about indirect light enter. It makes lower frequencies read longer than higher ones, so the model
-error m is 1 rad for hypotheses whose residuals lean that way and 0.15 rad for the others: plain
-unwrapping instead prefers whatever residual is smallest, and jumps by metres in dark corners. And
-no surface is brighter than white: the albedo that a hypothesis needs, ``|z| range^2 / flash``,
-rules out those too far away.
+error m is 1 rad for hypotheses whose residuals lean that way and 0.15 rad for the others (more
+where the frame's calibration is worse than that): plain unwrapping instead prefers whatever
+residual is smallest, and jumps by metres in dark corners. And no surface is brighter than white:
+the albedo that a hypothesis needs, ``|z| range^2 / flash``, rules out those too far away.
 
 Reference: the summation over paths is H. Hirschmüller, "Stereo processing by semi-global matching
 and mutual information", IEEE TPAMI 30 (2008) 328-341, equation 13; hypotheses, costs and the
@@ -45,13 +45,17 @@ LEAST_ERROR_RAD = np.float32(0.15)
 DEAREST = np.float32(20.0)
 """No hypothesis costs more: a whole neighbourhood can overrule any pixel."""
 FAR_M = np.float32(1e6)
+MOST_SAMPLES = 4096
+"""Pixels for a statistic of the frame."""
+MOST_AGAINST = 0.65
+"""Share of pixels that may lean against multipath; noise alone makes it one half."""
 PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def semi_global(
     sensor: Sensor,
     *,
-    jump: float = 8.0,
+    jump: float = 16.0,
     multipath_rad: float = 1.0,
     max_range_m: float = 0.0,
 ) -> Callable[[Phasors], DepthMap]:
@@ -107,9 +111,10 @@ def semi_global(
         white = _whiteness(phasors, flash.mean(axis=0), found, valid)
         _price(
             values, *flat, kernel_input(snr2).reshape(-1), kernel_input(white).reshape(-1), k,
-            known, np.float32(multipath_rad), cost.reshape(HYPOTHESES, -1),
+            _model_errors(values, found, valid, k, multipath_rad), known,
+            cost.reshape(HYPOTHESES, -1),
         )  # fmt: skip
-        total = aggregate(found.range_m, cost, valid, jump)
+        total = aggregate(found.range_m, cost, kernel_input(valid), jump)
         order = np.sort(total, axis=0)
         best = total.argmin(axis=0)[None]
         chosen, residual = (
@@ -153,10 +158,29 @@ def _whiteness(phasors: Phasors, flash: F32, found: Candidates, valid: Bool) -> 
     return white
 
 
+def _model_errors(values: C64, found: Candidates, valid: Bool, k: F32, widest: float) -> F32:
+    """Phase errors (2,) to expect, rad: of calibration, and of multipath.
+
+    Residuals that lean as multipath never does are calibration errors (or wrong turns, the fewer
+    part): where they are larger than `LEAST_ERROR_RAD`, so is the error to expect. Where most of a
+    frame leans that way, its calibration hides what multipath does, and both errors are one.
+    """
+    some = valid.reshape(-1) & np.isfinite(found.range_m[0]).reshape(-1)
+    pixels = np.flatnonzero(some)[:: max(int(some.sum()) // MOST_SAMPLES, 1)]
+    phase = np.angle(values[:, pixels]) - k[:, None] * found.range_m[0].reshape(-1)[pixels]
+    off = phase - TWO_PI * np.rint(phase / TWO_PI)
+    against = (off / k[:, None] * (k - k.mean())[:, None]).sum(axis=0) > 0
+    error = LEAST_ERROR_RAD
+    if against.any():
+        error = max(error, np.float32(np.sqrt(np.percentile(off[:, against] ** 2, 80))))
+    wide = widest if pixels.size and against.mean() < MOST_AGAINST else 0.0
+    return np.array([error, max(wide, error)], np.float32)
+
+
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _price(
-    values: C64, range_m: F32, chi2: F32, snr2: F32, white: F32, k: F32, known: bool,
-    multipath_rad: np.float32, cost: F32,
+    values: C64, range_m: F32, chi2: F32, snr2: F32, white: F32, k: F32, error: F32,
+    known: bool, cost: F32,
 ) -> None:  # fmt: skip
     """Cost of every hypothesis above that of the pixel's best."""
     mean = k.mean()
@@ -169,13 +193,14 @@ def _price(
             lean = np.float32(0.0)  # negative: the lower the frequency, the longer its range
             for f in range(k.size):
                 phase = np.arctan2(values[f, p].imag, values[f, p].real) - k[f] * range_m[t, p]
-                lean += (phase - TWO_PI * np.rint(phase / TWO_PI)) / k[f] * (k[f] - mean)
-            error = multipath_rad if lean < 0 else LEAST_ERROR_RAD
-            dearer = np.float32(known) + error * error * snr2[p]
+                off = (phase - TWO_PI * np.rint(phase / TWO_PI)) / k[f]
+                lean += off * (k[f] - mean)
+            noise = np.float32(1.0) if known else np.float32(0.0)
+            misfit = chi2[t, p] / max(noise + error[0] ** 2 * snr2[p], np.float32(1e-30))
+            if lean < 0:
+                misfit = chi2[t, p] / max(noise + error[1] ** 2 * snr2[p], np.float32(1e-30))
             bright = max(white[p] * range_m[t, p] ** 2 - WHITE, np.float32(0.0)) / WHITE_SPREAD
-            cost[t, p] = np.float32(0.5) * (
-                chi2[t, p] / max(dearer, np.float32(1e-30)) + bright * bright
-            )
+            cost[t, p] = np.float32(0.5) * (misfit + bright * bright)
             least = min(least, cost[t, p])
         for t in range(range_m.shape[0]):
             cost[t, p] = min(cost[t, p] - least, DEAREST)
@@ -230,7 +255,7 @@ def _starts(shape: tuple[int, int], dy: int, dx: int) -> I64:
         first |= v == (0 if dy > 0 else shape[0] - 1)
     if dx:
         first |= u == (0 if dx > 0 else shape[1] - 1)
-    return np.argwhere(first)
+    return np.ascontiguousarray(np.argwhere(first))
 
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types

@@ -1,0 +1,292 @@
+"""The cheapest model of the light that explains the phasors, pixel by pixel.
+
+Models, cheapest first: one return; light that bounced between the surfaces in view; two returns;
+a learned method, where one is named. Every answer starts as one return, unwrapped by `semi_global`,
+and a richer model must earn its place:
+
+- *bounced light* (`fuchs2010`) when phasors freed from it agree across frequencies better than
+  before. The share of the excess residual that it explains decides for the whole frame, since a
+  frame has one light; windows that contradict stay with one return. With one frequency nothing can
+  disagree, and the energy decides: albedos must be those of surfaces.
+- *two returns* (`two_returns`) where much is left unexplained in the neighbourhood, they explain
+  nearly all of it, the nearer one is no brighter than white, and its own uncertainty is smaller
+  than what it changes.
+- *learned* where the frame still disagrees with itself after that: only there is one return known
+  to be wrong and no other model right.
+
+Where the evidence is weak the single return stays, and sigma grows by what the rejected model would
+have changed; unexplained residuals widen it too. Reference: model selection by chi-squared and the
+Cramer-Rao bound is textbook; order, tests and thresholds are ours, measured in docs/correction.
+Input: any frequencies. Fails with its models: light from surfaces out of view stays in the answer.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.correct import INVALID, OK, refuse_emitter_offset
+from toftools.correct._evidence import Explained, explained, frame_mean, noise_of, pooled
+from toftools.correct._scene import optics
+from toftools.registry import CORRECTIONS, find
+from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
+from toftools.units import range_to_phase
+
+MODELS = ("one return", "bounced light", "two returns", "learned")
+ONE, BOUNCED, TWO, LEARNED = range(4)
+FRAME_SHARE = 0.25
+"""Share of a frame's excess residual that bounced light must explain to be believed."""
+WINDOW_SHARE = 0.3
+"""The same for a window of a frame that is not convinced as a whole."""
+UNEXPLAINED = 3.0
+"""Mean residual per degree of freedom from which a neighbourhood needs a richer model."""
+TWO_LEFT = 0.25
+"""Share of it that two returns may leave."""
+TRANSPORT_ERROR = 0.3
+"""Share of its correction that bounced light may be wrong by: surfaces out of view, normals."""
+WHITE = 1.3
+"""Largest albedo of a surface; above 1 for noise and slanted light."""
+LEAST_ALBEDO = 0.02
+"""Median albedo below which amplitudes cannot be in the sensor's unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Rivals:
+    """The methods behind the models; None where the sensor does not suit one."""
+
+    one: Callable[[Phasors], DepthMap]
+    bounced: Callable[[Phasors], DepthMap] | None
+    two: Callable[[Phasors], DepthMap] | None
+    learned: Callable[[Phasors], DepthMap] | None
+    k: F64
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """What has been decided so far."""
+
+    range_m: F32
+    sigma_m: F32
+    chi2: F32
+    model: Any
+    doubt_m: F32
+
+
+def auto(
+    sensor: Sensor, *, bounced: str = "fuchs2010", learned: str = "", max_range_m: float = 0.0
+) -> Callable[[Phasors], DepthMap]:
+    """Range by the cheapest model that explains the data.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Any; with one frequency only bounced light can be told, by its energy.
+    bounced : str
+        Correction for bounced light, as ``name[:key=val,...]`` or ``module:function``: one that
+        gives ``info["indirect"]``.
+    learned : str
+        A learned correction, the same way; empty for none.
+    max_range_m : float
+        Longest range, m; 0 stands for the joint ambiguity.
+
+    Returns
+    -------
+    callable
+        ``run(Phasors) -> DepthMap``. ``info``: `status`; `model` (H, W), index into `models`;
+        `residual` (H, W), what the chosen model leaves per degree of freedom in the neighbourhood
+        (1 is noise); `why`, one sentence per model that was tried; `shares`, pixels per model.
+
+    Raises
+    ------
+    ValueError
+        If a named method is unknown or a parameter wrong, or the emitter is not at the camera.
+
+    References
+    ----------
+    S. Fuchs, "Multipath interference compensation in time-of-flight camera images", ICPR 2010, and
+    the references of `semi_global` and `two_returns`, for the models.
+
+    Examples
+    --------
+    >>> from toftools.sensors import sensor
+    >>> camera = sensor("opt8241:width=4,height=3")
+    >>> wall = np.exp(1j * range_to_phase(2.0, camera.modulation.freqs_hz))[:, None, None]
+    >>> depth = auto(camera)(Phasors(np.broadcast_to(wall, (2, 3, 4))))
+    >>> depth.info["models"][depth.info["model"][0, 0]], depth.range_m[0, 0].round(3)
+    ('one return', np.float32(2.0))
+    """
+    refuse_emitter_offset(sensor)
+    freqs = sensor.modulation.freqs_hz
+    name = "semi_global" if freqs.size > 1 else "crt"
+    rivals = _Rivals(
+        CORRECTIONS[name].build(sensor, max_range_m=max_range_m),
+        find(CORRECTIONS, bounced).build(sensor),
+        None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor),
+        find(CORRECTIONS, learned).build(sensor) if learned else None,
+        range_to_phase(1.0, freqs),
+    )
+    flash = optics(sensor).flash.mean(axis=0)
+
+    def run(phasors: Phasors) -> DepthMap:
+        same = flash.shape == phasors.valid.shape
+        lit = flash if same else optics(sensor, phasors.valid.shape).flash.mean(axis=0)
+        return _decided(phasors, rivals, lit)
+
+    return run
+
+
+def _decided(phasors: Phasors, rivals: _Rivals, flash: F32) -> DepthMap:
+    """All models in turn."""
+    start = rivals.one(phasors)
+    usable = np.isfinite(start.range_m)
+    noise = noise_of(phasors, start.range_m, rivals.k)
+    plain = explained(phasors.values, noise, start.range_m, rivals.k, usable)
+    nothing = np.zeros(usable.shape, np.float32)
+    first = _Choice(
+        plain.range_m, plain.sigma_m, plain.chi2, np.full(usable.shape, ONE, np.uint8), nothing
+    )
+    why: dict[str, str] = {}
+    choice, left = _bounced(phasors, rivals, noise, usable, first, flash, why)
+    if rivals.k.size > 2:
+        choice = _two(left, rivals, usable, choice, flash, why)
+    if rivals.learned is not None and rivals.k.size > 1:
+        choice = _learned(phasors, rivals.learned, usable, choice, rivals.k.size - 1, why)
+    return _answer(start, phasors, usable, choice, max(rivals.k.size - 1, 1), why)
+
+
+def _bounced(
+    phasors: Phasors, rivals: _Rivals, noise: F32, usable: Bool, choice: _Choice, flash: F32,
+    why: dict[str, str],
+) -> tuple[_Choice, Phasors]:  # fmt: skip
+    """Bounced light taken out where that explains more; and the phasors that remain."""
+    assert rivals.bounced is not None
+    tried = rivals.bounced(phasors)
+    removed = np.asarray(tried.info["indirect"])
+    direct = np.where(usable, phasors.values - removed, phasors.values)
+    freed = explained(direct, noise, choice.range_m, rivals.k, usable)
+    touched = usable & (removed != 0).any(axis=0)
+    if rivals.k.size > 1:
+        believed = _explains_more(choice.chi2, freed.chi2, usable, rivals.k.size - 1, why)
+    else:
+        believed = _credible(phasors, choice.range_m, usable, flash, why)
+    taken = touched & believed
+    change = np.where(touched, np.abs(freed.range_m - choice.range_m), 0)
+    doubt = np.where(taken, np.float32(TRANSPORT_ERROR), 1) * change
+    merged = _merge(choice, freed, taken, BOUNCED, doubt.astype(np.float32))
+    left = np.where(taken, direct, phasors.values).astype(np.complex64)
+    return merged, Phasors(left, phasors.sigma, usable)
+
+
+def _merge(choice: _Choice, other: Explained, taken: Bool, model: int, doubt: F32) -> _Choice:
+    def pick(new: F32, old: F32) -> F32:
+        return np.where(taken, new, old).astype(np.float32)
+
+    return _Choice(
+        pick(other.range_m, choice.range_m),
+        pick(other.sigma_m, choice.sigma_m),
+        pick(other.chi2, choice.chi2),
+        np.where(taken, np.uint8(model), choice.model),
+        doubt,
+    )
+
+
+def _explains_more(before: F32, after: F32, usable: Bool, dof: int, why: dict[str, str]) -> Bool:
+    """Where frequencies agree better after than before, in the frame and in each window."""
+    old, count = pooled(before, usable, dof)
+    new, _ = pooled(after, usable, dof)
+    error = np.sqrt(2 / dof / np.maximum(count, 1))
+    whole, whole_error = frame_mean(before, usable, dof)
+    fallen = whole - frame_mean(after, usable, dof)[0]
+    why[MODELS[BOUNCED]] = (
+        f"mean residual {whole:.2f} falls to {whole - fallen:.2f}, where noise leaves 1"
+    )
+    if fallen > max(4 * whole_error, FRAME_SHARE * (whole - 1)):
+        return np.asarray(new < old + 2 * error)
+    return np.asarray(old - new > np.maximum(3 * error, WINDOW_SHARE * (old - 1)))
+
+
+def _credible(
+    phasors: Phasors, range_m: F32, usable: Bool, flash: F32, why: dict[str, str]
+) -> Bool:
+    """With one frequency: everywhere if the amplitudes are those of surfaces, else nowhere."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        albedo = (np.abs(phasors.values[0]) * range_m**2 / flash)[usable]
+    typical = float(np.median(albedo)) if albedo.size else 0.0
+    right = LEAST_ALBEDO < typical < WHITE
+    why[MODELS[BOUNCED]] = f"one frequency; the median albedo {typical:.2f} is " + (
+        "that of a surface" if right else "not that of a surface, so amplitudes say nothing"
+    )
+    return np.full(usable.shape, right)
+
+
+def _two(
+    left: Phasors, rivals: _Rivals, usable: Bool, choice: _Choice, flash: F32, why: dict[str, str]
+) -> _Choice:
+    """Two returns where the neighbourhood needs them and they explain it."""
+    assert rivals.two is not None
+    dof = rivals.k.size - 1
+    need, _ = pooled(choice.chi2, usable, dof)
+    asked = usable & (need > UNEXPLAINED)
+    if not asked.any():
+        why[MODELS[TWO]] = f"no neighbourhood leaves more than {UNEXPLAINED:g} times its noise"
+        return choice
+    tried = rivals.two(Phasors(left.values, left.sigma, asked))
+    own_dof = 2 * rivals.k.size - 4
+    misfit, _ = pooled(np.asarray(tried.info["chi2"]), asked, own_dof)
+    two = asked & (np.asarray(tried.info["returns"]) > 1) & (misfit < 1 + TWO_LEFT * (need - 1))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        amplitude = np.asarray(tried.info["amplitudes"])[0]
+        two &= amplitude * tried.range_m**2 / flash < WHITE
+        change = np.abs(tried.range_m - choice.range_m)
+        sigma_m = choice.sigma_m if tried.sigma_m is None else tried.sigma_m
+        two &= sigma_m < change
+    share = float(two.sum() / asked.sum())
+    why[MODELS[TWO]] = f"taken in {share:.0%} of the pixels whose neighbourhood needs more"
+    chi2 = np.asarray(tried.info["chi2"] * dof / own_dof, np.float32)
+    other = Explained(tried.range_m, chi2, sigma_m)
+    return _merge(choice, other, two, TWO, np.where(two, 0, choice.doubt_m).astype(np.float32))
+
+
+def _learned(
+    phasors: Phasors, method: Callable[[Phasors], DepthMap], usable: Bool, choice: _Choice,
+    dof: int, why: dict[str, str],
+) -> _Choice:  # fmt: skip
+    """The learned answer where the frame still disagrees with itself."""
+    need, _ = pooled(choice.chi2, usable, dof)
+    asked = usable & (need > UNEXPLAINED) & (choice.model != TWO)
+    tried = method(phasors)
+    taken = asked & np.isfinite(tried.range_m)
+    why[MODELS[LEARNED]] = f"taken in {float(taken.mean()):.0%} of the frame, unexplained till then"
+    sigma_m = choice.sigma_m if tried.sigma_m is None else tried.sigma_m
+    other = Explained(tried.range_m, choice.chi2, sigma_m)
+    return _merge(choice, other, taken, LEARNED, choice.doubt_m)
+
+
+def _answer(
+    start: DepthMap, phasors: Phasors, usable: Bool, choice: _Choice, dof: int,
+    why: Mapping[str, str],
+) -> DepthMap:  # fmt: skip
+    """The choice as an answer; residuals and doubts widen sigma."""
+    left, count = pooled(choice.chi2, usable, dof)
+    # Residuals beyond noise widen sigma by their root (Birge's ratio).
+    beyond = left > 1 + 3 * np.sqrt(2 / dof / np.maximum(count, 1))
+    birge = np.where(beyond, np.sqrt(left), 1)
+    spread = np.hypot(choice.sigma_m * birge, choice.doubt_m)
+    counts = np.bincount(choice.model[usable].astype(np.int64), minlength=len(MODELS))
+    return DepthMap(
+        range_m=np.where(usable, choice.range_m, np.nan),
+        sigma_m=None if phasors.sigma is None else np.where(usable, spread, np.nan),
+        confidence=np.where(usable, 1 / np.maximum(left, 1e-3), 0),
+        amplitude=start.amplitude,
+        info={
+            "status": np.where(usable, np.uint8(OK), np.uint8(INVALID)),
+            "model": choice.model,
+            "models": MODELS,
+            "residual": left,
+            "why": dict(why),
+            "shares": {
+                m: int(n) / max(usable.sum(), 1) for m, n in zip(MODELS, counts, strict=True)
+            },
+        },
+    )
