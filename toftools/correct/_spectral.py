@@ -123,8 +123,9 @@ def least_returns(
     callable
         Phasors and noise to `Fit` of (most, P) returns, NaN and amplitude 0 for none. `sigma_m`
         is the bound, which the fit reaches; that of proposals as they are is carried through
-        them, or has the grid added. Where no number of returns explains the pixel it is
-        stretched by the root of chi-squared over its degrees of freedom.
+        them, or has the grid added. Where no number of returns explains the pixel, that of
+        the fit and that of a grid are stretched by the root of chi-squared over its degrees of
+        freedom.
     """
 
     def one_order(z: Complexes, noise: F64, before: Fit, order: int) -> tuple[Fit, Bool]:
@@ -164,7 +165,8 @@ def least_returns(
                 whole[..., todo] = part
             todo = todo[still]
         free = max(2 * (k.size - most), 1)
-        best.sigma_m[:, todo] *= np.sqrt(np.minimum(best.chi2[todo], 1e12) / free)
+        if refine or rough_m:
+            best.sigma_m[:, todo] *= np.sqrt(np.minimum(best.chi2[todo], 1e12) / free)
         return best
 
     return separate

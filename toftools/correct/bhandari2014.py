@@ -12,8 +12,8 @@ be as fine as that fit's valley.
 When it fails; 20/40/60/80 MHz, noise in percent of the first return, ratio of second to first:
 
 - As published (``refine=0``) greed decides: with returns closer than the resolution c / (4 B) of a
-  bandwidth B (1.2 m here) the first column lies between them. Ratio 0.6 and 0.8 m: 8 cm off
-  without any noise, whatever the grid.
+  bandwidth B (1.2 m here) the first column lies between them. Ratio 0.6, 0.8 m: 23 cm off in the
+  median at 2 % noise. From 1.2 m on the grid rules: 13 mm, an efficiency below 0.1.
 - With the fit it is at the Cramer-Rao bound like kirmani2013, and sees what that sees. Returns 0.4
   m apart, ratio 0.2, 0.5 % noise: 3 % end in a false minimum.
 - Frequencies whose joint ambiguity is long leave near repetitions: light at one range then comes

@@ -10,10 +10,12 @@ runs count in one direction only, as in Prony's method. Ours: the fit after it (
 chi-squared test of L, and the joint ambiguity where f_0 is no multiple of df.
 
 When it fails: where kirmani2013 fails, and see there for the figures. With four frequencies and
-two returns the filter is exact, so that all noise goes into its roots: at 2 % noise, ratio 0.6 and
-0.6 m, a quarter of the pixels would end in a false minimum if the fit did not start again from
-elsewhere (`_spectral_restart`), and returns 0.4 m apart at 0.5 % and ratio 0.2 still do in 1.4 %.
-Time as kirmani2013.
+two returns the filter is exact, so that all noise goes into its roots: as published
+(``refine=0``) its efficiency at 2 % noise and ratio 0.6 is 0.02 for returns 2 m apart and below
+0.005 for 1.2 m and less, where a third of the second returns is lost besides (0.8 m). The fit
+makes up for it, 1.0 as in kirmani2013, but lives on starting again from elsewhere
+(`_spectral_restart`); at 0.5 % noise, ratio 0.2 and 0.4 m 1.4 % still end in a false minimum. Time
+as kirmani2013.
 """
 
 from collections.abc import Callable
