@@ -139,17 +139,8 @@ def least_returns(
             own = _spread(found, z, noise, propose, period_m, rough_m)
             found = found._replace(sigma_m=own)
         best = _better(before, found)
-        for restart in (split, add) if refine and order > 1 else ():
-            poor = best.chi2 > chi2_limit(free, POOR)
-            if not poor.any():
-                break
-            some = np.ascontiguousarray(z[:, poor])
-            its_noise = np.ascontiguousarray(noise[:, poor])
-            start = restart(some, its_noise, k, _some(before, poor), order, period_m)
-            again = fit_returns(some, its_noise, k, np.ascontiguousarray(start), refine)
-            again = _better(_some(best, poor), again)
-            for whole, part in zip(best, again, strict=True):
-                whole[..., poor] = part
+        if refine and order > 1:
+            best = _again(best, before, z, noise, k, order, refine, period_m)
         return best, best.chi2 > chi2_limit(free)
 
     def separate(z: Complexes, noise: F64) -> Fit:
@@ -170,6 +161,31 @@ def least_returns(
         return best
 
     return separate
+
+
+def _again(
+    best: Fit,
+    before: Fit,
+    z: Complexes,
+    noise: F64,
+    k: F64,
+    order: int,
+    refine: int,
+    period_m: float,
+) -> Fit:
+    """Fits that start from elsewhere, where the residual is larger than noise usually leaves."""
+    limit = chi2_limit(max(2 * (k.size - order), 1), POOR)
+    for restart in (split, add):
+        poor = best.chi2 > limit
+        if not poor.any():
+            break
+        some = np.ascontiguousarray(z[:, poor])
+        its_noise = np.ascontiguousarray(noise[:, poor])
+        start = restart(some, its_noise, k, _some(before, poor), order, period_m)
+        found = fit_returns(some, its_noise, k, np.ascontiguousarray(start), refine)
+        for whole, part in zip(best, _better(_some(best, poor), found), strict=True):
+            whole[..., poor] = part
+    return best
 
 
 def _some(fit: Fit, pixels: NDArray[Any]) -> Fit:

@@ -3,8 +3,8 @@
 The noise of every pixel, the method itself, and the nearest strong return of what it finds.
 Reference: ours. Inputs: a method that separates pixels, as `_spectral.least_returns` makes one.
 Where the noise is unknown it is taken as `UNKNOWN_NOISE` of the root-mean-square amplitude.
-Memory: 8 (3 L + 1) bytes per pixel of the frame for L returns, and some 10 MB for a block. Fails
-on nothing of its own.
+Memory: some 16 (L + 1) bytes per pixel of the frame for at most L returns, and 30 MB for a block.
+Fails on nothing of its own.
 """
 
 from collections.abc import Callable
@@ -56,6 +56,25 @@ def noise_of(values: Complexes, sigma: NDArray[Any] | None) -> tuple[F64, Bool]:
     return np.fmax(np.where(known, given, 0.0), least), known
 
 
+def _sorted(
+    separate: Separate,
+    z: Complexes,
+    sigma: NDArray[Any] | None,
+    first_share: float,
+    period_m: float,
+) -> F64:
+    """Ranges, amplitudes and the standard deviation of the first return of a block, in rows."""
+    noise, known = noise_of(z, sigma)
+    found = separate(z, noise)
+    ranges_m, amplitudes = sorted_returns(
+        found.ranges_m, found.amplitudes, first_share=first_share, period_m=period_m
+    )
+    first = (found.amplitudes == amplitudes[0]).argmax(axis=0)[None]
+    sigma_m = np.take_along_axis(found.sigma_m, first, axis=0)
+    sigma_m = np.where(known & np.isfinite(sigma_m), sigma_m, np.nan)
+    return np.concatenate([ranges_m, amplitudes, sigma_m])
+
+
 def runner(
     sensor: Sensor,
     separate: Separate,
@@ -92,27 +111,19 @@ def runner(
             raise ValueError(msg)
         usable = phasors.valid & (phasors.values != 0).any(axis=0)
         pixels = np.flatnonzero(usable)
-        sorted_by_range = []
+        whole = np.empty((0, 0), np.float32)
         for i in range(0, max(pixels.size, 1), BLOCK):
             here = pixels[i : i + BLOCK]
             z = phasors.values.reshape(n_freqs, -1)[:, here][order].astype(np.complex128)
             sigma = phasors.sigma
             if sigma is not None:
                 sigma = sigma.reshape(n_freqs, -1)[:, here][order]
-            noise, known = noise_of(z, sigma)
-            found = separate(z, noise)
-            ranges_m, amplitudes = sorted_returns(
-                found.ranges_m, found.amplitudes, first_share=first_share, period_m=period_m
-            )
-            first = (found.amplitudes == amplitudes[0]).argmax(axis=0)[None]
-            sigma_m = np.take_along_axis(found.sigma_m, first, axis=0)
-            sigma_m = np.where(known & np.isfinite(sigma_m), sigma_m, np.nan)
-            sorted_by_range.append(np.concatenate([ranges_m, amplitudes, sigma_m]))
-        flat = np.concatenate(sorted_by_range, axis=1)
-        whole = np.full((len(flat), usable.size), np.nan, np.float32)
-        whole[:, pixels] = flat
-        images = whole.reshape(-1, *usable.shape)
-        most = len(flat) // 2
+            part = _sorted(separate, z, sigma, first_share, period_m)
+            if whole.size == 0:
+                whole = np.full((len(part), usable.size), np.nan, np.float32)
+            whole[:, here] = part
+        images: NDArray[Any] = whole.reshape(-1, *usable.shape)
+        most = len(whole) // 2
         return answer(
             images[:most],
             np.nan_to_num(images[most:-1], nan=0.0),
