@@ -6,7 +6,9 @@ import tracemalloc
 import numpy as np
 import pytest
 from test_laws_correction import CASES as LAW_CASES
-from test_laws_correction import GRID_M, RECOVERY_M, SIZE, SLOW, SPATIAL, built, longest_m, planted
+from test_laws_correction import (
+    GRID_M, PARAMS, RECOVERY_M, SIZE, SLOW, SPATIAL, built, longest_m, planted,
+)  # fmt: skip
 
 from toftools.camera import resized
 from toftools.correct import INVALID, OK, REJECTED
@@ -122,7 +124,9 @@ def test_unsorted_frequencies_give_the_same_answer(name, text):
     order = np.roll(np.arange(sensor.modulation.n_freqs), 1)[::-1]
     noisy = frame_of(name, text, sigma=10.0, seed=11)
     moved = Phasors(noisy.values[order], noisy.sigma[order])
-    params = {"freq_index": int(np.argwhere(order == 0)[0, 0])} if name == "single" else {}
+    params = dict(PARAMS.get(name, {}))
+    if name == "single":
+        params["freq_index"] = int(np.argwhere(order == 0)[0, 0])
     have = CORRECTIONS[name].build(with_freqs(sensor, order), **params)(moved)
     want = built(name, text)(noisy)
     assert np.array_equal(have.info["status"], want.info["status"])
@@ -138,7 +142,7 @@ def test_a_frequency_twice_is_refused_or_harmless(name, text):
     order[-1] = 0
     twice = with_freqs(sensor, order)
     try:
-        run = CORRECTIONS[name].build(twice)
+        run = CORRECTIONS[name].build(twice, **PARAMS.get(name, {}))
     except ValueError as error:
         assert "frequenc" in str(error)
         assert "\n" not in str(error)
@@ -156,7 +160,7 @@ def test_pixels_and_lines(name, text, shape):
         shape = tuple(min(n, 16) for n in shape)
     sensor = preset(text)
     device = dataclasses.replace(sensor, camera=resized(sensor.camera, shape[1], shape[0]))
-    run = CORRECTIONS[name].build(device)
+    run = CORRECTIONS[name].build(device, **PARAMS.get(name, {}))
     truth = wall(name, sensor, shape) % (0.8 * longest_m(name, sensor))
     frame = planted(device, truth)
     tracemalloc.start()

@@ -72,7 +72,11 @@ SPATIAL = {
 # Lone returns of any brightness on any concave image light each other, and the method is right to
 # take that off: the laws see them nearly black. tests/test_fuchs2010.py has them lit.
 BLACK = {"albedo_gain": 1e-9}
-PARAMS = {"fuchs2010": BLACK, "fuchs2010_all_pairs": BLACK}
+PARAMS = {
+    "fuchs2010": BLACK,
+    "fuchs2010_all_pairs": BLACK,
+    "auto": {"bounced": "fuchs2010:albedo_gain=1e-9"},
+}
 
 each_case = pytest.mark.parametrize(("name", "text"), CASES, ids=lambda v: str(v).split(":")[0])
 each_entry = pytest.mark.parametrize("name", CORRECTIONS)

@@ -140,6 +140,8 @@ def _decided(phasors: Phasors, rivals: _Rivals, flash: F32) -> DepthMap:
     """All models in turn."""
     start = rivals.one(phasors)
     usable = np.isfinite(start.range_m)
+    values = np.where(usable, phasors.values, np.complex64(0))
+    phasors = Phasors(values, phasors.sigma, phasors.valid & usable)
     noise = noise_of(phasors, start.range_m, rivals.k)
     plain = explained(phasors.values, noise, start.range_m, rivals.k, usable)
     nothing = np.zeros(usable.shape, np.float32)

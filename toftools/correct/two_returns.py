@@ -29,6 +29,7 @@ from toftools.units import ambiguity_m, range_to_phase
 CELLS_PER_TURN = 10
 """Grid cells per turn of the highest frequency: the steps then start in the right valley."""
 MAX_CELLS = 4096
+WIDEST = 1e100
 
 
 def two_returns(
@@ -142,12 +143,15 @@ def _check(first_share: float, significance: float, model_share: float) -> None:
 
 def _scaled(phasors: Phasors, gain: F64) -> tuple[F64, F64]:
     """Phasors as (2, F, P) and their sigma (F, P) at equal contrast; NaN set to zero."""
-    flat = phasors.values.reshape(gain.size, -1) * gain[:, None]
+    usable = phasors.valid.reshape(-1)
+    flat = np.where(usable, phasors.values.reshape(gain.size, -1), 0) * gain[:, None]
     z = np.stack([flat.real, flat.imag]).astype(np.float64)
     sigma = np.zeros(flat.shape)
     if phasors.sigma is not None:
-        sigma = phasors.sigma.reshape(flat.shape) * gain[:, None]
-    return np.nan_to_num(z, copy=False), np.nan_to_num(sigma)
+        # Without NaN, and small enough to be squared: a weight of zero all the same.
+        known = phasors.sigma.reshape(flat.shape).astype(np.float64) * gain[:, None]
+        sigma = np.nan_to_num(known, posinf=WIDEST)
+    return z, sigma
 
 
 def _one_return(z: F64, sigma: F64, range_m: F64, k: F64, share: float) -> tuple[F64, F64]:
