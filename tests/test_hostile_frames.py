@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from test_laws_correction import CASES as LAW_CASES
 from test_laws_correction import (
-    GRID_M, PARAMS, RECOVERY_M, SIZE, SLOW, SPATIAL, built, longest_m, planted,
+    GRID_M,
+    PARAMS,
+    RECOVERY_M,
+    SIZE,
+    SLOW,
+    SPATIAL,
+    built,
+    longest_m,
+    planted,
 )  # fmt: skip
 
 from toftools.camera import resized

@@ -180,11 +180,9 @@ def returns_of(
 
 def _noise(phasors: Phasors, assumed: float) -> tuple[F32, NDArray[np.bool_]]:
     """Sigma of every phasor, assumed where unknown, and where it is known."""
-    power = np.where(phasors.valid, np.abs(phasors.values), np.float32(0)) ** 2
+    power = np.where(phasors.valid, np.abs(phasors.values), np.float32(0)).astype(np.float64) ** 2
     rms = np.sqrt(power.mean(axis=0))
-    rms = np.where(
-        rms > 0, rms, np.float32(1)
-    )  # unusable pixels, but kernels divide by their noise
+    rms = np.where(rms > 0, rms, 1).astype(np.float32)  # kernels divide by the noise of all pixels
     if phasors.sigma is None:
         noise = np.broadcast_to(np.float32(assumed) * rms, power.shape)
         return np.asarray(noise, np.float32), np.zeros(rms.shape, np.bool_)

@@ -123,6 +123,9 @@ def dorrington2011(
     """
     refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
+    if np.unique(freqs).size < freqs.size:
+        msg = f"dorrington2011 needs frequencies that differ, got {freqs.tolist()} Hz; drop one"
+        raise ValueError(msg)
     test = lone_return_test(
         sensor, max_range_m, false_alarm=false_alarm, assumed_noise=assumed_noise,
         method="dorrington2011",
