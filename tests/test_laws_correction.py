@@ -28,6 +28,7 @@ SENSORS = {
     "residual_voting": (THREE,),
     "fuchs2010": (ONE, TWO, THREE),
     "fuchs2010_all_pairs": (ONE, TWO),
+    "jimenez2014": (ONE, TWO, THREE),
     "kde": (TWO, THREE),
     "sra": (TWO, THREE),
     "sra_lp": (TWO,),
@@ -75,6 +76,7 @@ BLACK = {"albedo_gain": 1e-9}
 PARAMS = {
     "fuchs2010": BLACK,
     "fuchs2010_all_pairs": BLACK,
+    "jimenez2014": BLACK,
     "auto": {"bounced": "fuchs2010:albedo_gain=1e-9"},
 }
 

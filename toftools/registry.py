@@ -195,6 +195,10 @@ CORRECTIONS = _table(
         grid={"tol_mm": (0.3, 1.0, 3.0, 10.0), "iterations": (1, 3)},
     ),
     fuchs2010_all_pairs=Spec("toftools.correct.fuchs2010_all_pairs:fuchs2010_all_pairs"),
+    jimenez2014=Spec(
+        "toftools.correct.jimenez2014:jimenez2014",
+        grid={"nodes": (100, 300, 1200), "iterations": (3, 10)},
+    ),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
     heide2013=Spec(
         "toftools.correct.heide2013:heide2013",
