@@ -15,6 +15,7 @@ from toftools.io.native import read_capture
 from toftools.types import DepthMap
 from toftools.viz.cloud import cloud_png
 from toftools.viz.figures import maps_png
+from toftools.viz.models import models_png
 
 MAX_MAPS = 7  # beside the truth: two rows of four
 
@@ -67,8 +68,8 @@ def capture_pictures(
     Returns
     -------
     dict of str to bytes
-        PNG by name: ``maps``, ``cloud_reference``, ``cloud_input``, ``cloud_best``; empty for a
-        capture with nothing to compare with.
+        PNG by name: ``maps``, ``models`` where a method chose one per pixel, ``cloud_reference``,
+        ``cloud_input``, ``cloud_best``; empty for a capture with nothing to compare with.
     """
     capture = read_capture(out / "captures" / f"{rows[0]['capture_id']}.h5")
     truth, against = reference_of(capture)
@@ -87,6 +88,14 @@ def capture_pictures(
             title = f"{label_of(row)}\nMAE {100 * row['metrics']['mae_m']:.2f} cm"
             panels.append((title, answer.range_m - truth.range_m, "error"))
     pictures = {"maps": maps_png(panels, limits={"error": (None, limit)})}
+    for row, answer in answers:
+        if answer is not None and "model" in answer.info:
+            pictures["models"] = models_png(
+                np.asarray(answer.info["model"]),
+                list(answer.info["models"]),
+                np.isfinite(answer.range_m),
+                title=f"model that {label_of(row)} chose",
+            )
     best = next((a for row, a in answers if a is not None and row.get("ms") is not None), None)
     clouds = {"reference": truth.range_m, "input": depth.range_m}
     if best is not None:

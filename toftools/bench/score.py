@@ -216,7 +216,7 @@ def read_answer(path: Path) -> DepthMap:
     Returns
     -------
     DepthMap
-        Range, sigma, confidence.
+        Range, sigma, confidence; ``info`` holds the map of models where the method chose.
 
     Raises
     ------
@@ -225,7 +225,9 @@ def read_answer(path: Path) -> DepthMap:
     """
     try:
         with np.load(path, allow_pickle=False) as stored:
-            return DepthMap(**{name: stored[name] for name in stored.files})
+            maps = {name: stored[name] for name in stored.files}
+            info = {name: maps.pop(name) for name in ("model", "models") if name in maps}
+            return DepthMap(**maps, info=info)
     except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         msg = f"{path} is damaged; delete it and run the suite again"
         raise ValueError(msg) from error

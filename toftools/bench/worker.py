@@ -151,6 +151,9 @@ def _store_answer(path: Path, depth: DepthMap) -> None:
     for name in ("sigma_m", "confidence"):
         if getattr(depth, name) is not None:
             arrays[name] = getattr(depth, name)
+    if "model" in depth.info and "models" in depth.info:
+        arrays["model"] = np.asarray(depth.info["model"])
+        arrays["models"] = np.asarray(depth.info["models"], dtype=np.str_)
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **arrays)
 

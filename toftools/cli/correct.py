@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -65,17 +66,24 @@ def command(
     depth = answered(capture, method, before=before, after=after)
     write_answer(out, depth, capture)
     known = np.isfinite(depth.range_m)
-    summary = {
+    summary: dict[str, Any] = {
         "out": str(out),
         "method": " > ".join([*before, method, *after]),
         "valid_share": float(known.mean()),
         "median_range_m": float(np.median(depth.range_m[known])) if known.any() else None,
         "median_sigma_m": _median(depth.sigma_m),
     }
+    if "shares" in depth.info:
+        summary["models"] = dict(depth.info["shares"])
+        summary["why"] = dict(depth.info.get("why", {}))
     if as_json:
         click.echo(json.dumps(summary))
     else:
         click.echo(_sentence(summary))
+        for model, share in summary.get("models", {}).items():
+            reason = summary["why"].get(model)
+            if share or reason:
+                click.echo(f"  {model:<14}{share:6.1%} of pixels{': ' + reason if reason else ''}")
 
 
 def _median(values: object) -> float | None:
@@ -87,7 +95,7 @@ def _median(values: object) -> float | None:
     return float(np.median(finite)) if finite.size else None
 
 
-def _sentence(summary: dict[str, object]) -> str:
+def _sentence(summary: dict[str, Any]) -> str:
     text = f"wrote {summary['out']}: {summary['method']}, {summary['valid_share']:.1%} of pixels"
     if summary["median_range_m"] is not None:
         text += f", median range {summary['median_range_m']:.3f} m"

@@ -77,7 +77,8 @@ def write_npz(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     -----
     Keys, all (H, W): range_m, z_m, sigma_m, confidence (float32, NaN where unknown), status
     (uint8: 0 answered, 1 no usable input, 2 rejected by the method); amplitude where there is
-    one; and the camera as K (3, 3) px and dist.
+    one; model and models, the map of chosen models and their names, where the method chose; and
+    the camera as K (3, 3) px and dist.
     """
     unknown = np.full(depth.range_m.shape, np.nan, np.float32)
     maps: dict[str, Any] = {
@@ -91,6 +92,9 @@ def write_npz(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     }
     if depth.amplitude is not None:
         maps["amplitude"] = depth.amplitude
+    if "model" in depth.info and "models" in depth.info:
+        maps["model"] = np.asarray(depth.info["model"])
+        maps["models"] = np.asarray(depth.info["models"], dtype=np.str_)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **maps)
 
