@@ -25,7 +25,7 @@ BLOCK = 128
 SPREAD = 0.1
 """Starting ranges closer than this, in rad at the highest frequency, are moved apart by it: equal
 ranges have equal derivatives, and the fit could never part them."""
-CLOSE_ENOUGH = 1e-6
+CLOSE_ENOUGH = 3e-5
 """The fit ends when no range moves by more than this, in rad of the root-mean-square frequency."""
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963109016418, 1.5893254773528196e-08  # pi/2 in two parts
 
