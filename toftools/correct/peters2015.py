@@ -21,8 +21,8 @@ When it fails; 20/40/60/80 MHz, two returns, noise in percent of the first:
 - Peaks lean towards each other: at the assumed 1 % for unknown noise by 1 mm in the median and
   3.5 mm at most without any noise (0.5..2 m apart); ``bias=3`` 2.4 mm and 7 mm.
 - Its variance is 1.4 to 2.6 times the bound at 0.5 to 5 % noise and 0.8 to 2 m, and 0.1 to 1.4 % of
-  the answers are false peaks. `sigma_m` is 10 to 20 % too large: the smallest eigenvalue is multiple but
-  for noise, and first-order propagation overstates how it moves.
+  the answers are false peaks. `sigma_m` is 10 to 20 % too large: the smallest eigenvalue is
+  multiple but for noise, and first-order propagation overstates how it moves.
 - Returns 0.4 m apart merge in 64 % of the pixels at 2 % noise and ratio 0.2.
 - Diffuse light leaves a bias, but the least of all here: as strong as the direct light and spread
   over the 1.8 m behind it, at 1 % noise, 24 mm (Pisarenko with three returns 28 mm, two returns
