@@ -100,7 +100,7 @@ def _rows(array: F32) -> F32:
     return rows if rows.flags.writeable else rows.copy()
 
 
-@njit(inline="always", fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(inline="always", fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def sincos(turns: np.float32) -> tuple[np.float32, np.float32]:
     """Sine and cosine of an angle in turns, float32, without a branch."""
     t = turns - np.rint(turns)
@@ -120,7 +120,7 @@ def sincos(turns: np.float32) -> tuple[np.float32, np.float32]:
     return s * t, c
 
 
-@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def _gather(
     at: F32, facing: F32, from_: F32, normal: F32, area: F32, re: F32, im: F32,
     turns_per_m: F32, out: F32,

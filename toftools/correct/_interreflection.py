@@ -14,7 +14,7 @@ pixel whose answer is not credible gets the plain one back (`FALLBACK`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit, prange
@@ -38,9 +38,15 @@ MOST_ALBEDO = 1.5
 SETTLED_M, SETTLED_SHARE = 0.02, 0.5
 """Nor is a range that the last iteration still moved by more: 2 cm and three standard deviations,
 or half of all that was removed."""
-NORMAL_NOISE = 0.1
+NORMAL_NOISE = 0.01
 """Windows for planes grow until the noise turns normals by no more (rad, median)."""
-MOST_REACH_PX = 4
+NORMAL_SLOPE = 4.0
+"""Relative change of what is removed per rad that a normal is off: light from walls comes in at
+grazing angles, and the tangent of 76 degrees is 4."""
+MOST_REACH_PX, FRAME_PER_REACH = 4, 20
+"""But to no more than this, and this share of the frame: objects are small in small frames."""
+LEAST_PREVIEW_PX = 100
+"""Smaller frames have no pixels to spare."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +63,15 @@ class Recipe:
         Times geometry is rebuilt.
     albedo_gain : float
         Factor of the radiometric albedo; 0 fits it.
+    stride_px : int
+        All iterations but the last see every so-many-th row and column; 1 sees all.
     """
 
     walk: Plan
     irradiance: Irradiance
     iterations: int
     albedo_gain: float
+    stride_px: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,32 +105,77 @@ def freed(phasors: Phasors, view: Optics, recipe: Recipe) -> DepthMap:
     plain = search(phasors, recipe.walk, top=1)
     valid = phasors.valid & (plain.information > 0)
     values = np.ascontiguousarray(np.where(valid, phasors.values, np.complex64(0)))
+    known = Phasors(values, phasors.sigma, valid)
+    state = _start(plain, values, recipe)
+    reach = _reach_px(view, plain, valid, known=phasors.sigma is not None)
+    before = recipe.iterations - 1
+    if before and recipe.stride_px > 1 and min(valid.shape) >= LEAST_PREVIEW_PX:
+        state = _previewed(state, known, view, recipe, reach)
+        before = 0
+    for _ in range(before + 1):
+        state = _iterate(state, known, view, recipe, reach)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tilt_rad = _tilt_rad(view, state.found, reach)
+    return _answer(phasors, valid, plain, state, recipe, tilt_rad)
+
+
+def _start(plain: Candidates, values: C64, recipe: Recipe) -> _State:
     none = np.zeros_like(values)
-    start = _State(plain, none, none.real, recipe.albedo_gain, plain.range_m[0])
-    state, reach = start, _reach_px(view, plain, valid, known=phasors.sigma is not None)
-    for _ in range(recipe.iterations):
-        state = _iterate(state, values, Phasors(values, phasors.sigma, valid), view, recipe, reach)
-    return _answer(phasors, valid, plain, state, recipe)
+    return _State(plain, none, none.real, recipe.albedo_gain, plain.range_m[0])
+
+
+def _previewed(state: _State, phasors: Phasors, view: Optics, recipe: Recipe, reach: int) -> _State:
+    """All iterations but the last on fewer pixels: what they move is smooth over surfaces."""
+    step = recipe.stride_px
+    sparse = (slice(None), slice(None, None, step), slice(None, None, step))
+    sigma = None if phasors.sigma is None else phasors.sigma[sparse]
+    few = Phasors(phasors.values[sparse], sigma, phasors.valid[sparse[1:]])
+    far_view = Optics(
+        kernel_input(view.rays[sparse]),
+        kernel_input(view.steps[sparse] / np.float32(step)),
+        kernel_input(view.solid_angle_sr[sparse[1:]] * np.float32(step**2)),
+        kernel_input(view.flash[sparse]),
+        view.freqs_hz,
+    )
+    plain = replace(
+        state.found,
+        range_m=state.found.range_m[sparse],
+        information=state.found.information[sparse[1:]],
+    )
+    far = _start(plain, few.values, recipe)
+    for _ in range(recipe.iterations - 1):
+        far = _iterate(far, few, far_view, recipe, reach)
+    shift_m = far.found.range_m[0] - plain.range_m[0]
+    # What changed its count of turns may not do so for its neighbours.
+    shift_m = np.where(np.abs(shift_m) < recipe.walk.ambiguity_m.min() / 2, shift_m, 0)
+    height, width = phasors.valid.shape
+    moved_m = np.repeat(np.repeat(shift_m, step, axis=0), step, axis=1)[:height, :width]
+    range_m = np.maximum(state.found.range_m + moved_m.astype(np.float32), np.float32(1e-3))
+    return replace(state, found=replace(state.found, range_m=range_m))
 
 
 def _reach_px(view: Optics, plain: Candidates, valid: Bool, *, known: bool) -> int:
-    """Windows that average enough: a slope over squared steps S has noise / sqrt S."""
+    """Windows that average enough."""
     if not (known and valid.any()):
         return 1
-    apart = plain.range_m[0] * np.sqrt(view.solid_angle_sr)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        noise = float(np.median((1 / np.sqrt(plain.information) / apart)[valid]))
-    for reach in range(1, MOST_REACH_PX):
-        spread = (2 * reach + 1) ** 2 * reach * (reach + 1) / 3
-        if noise / np.sqrt(spread) <= NORMAL_NOISE:
+    most = int(max(1, min(MOST_REACH_PX, min(valid.shape) // FRAME_PER_REACH)))
+    for reach in range(1, most):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tilt_rad = _tilt_rad(view, plain, reach)
+        if np.median(tilt_rad[valid]) <= NORMAL_NOISE:
             return reach
-    return MOST_REACH_PX
+    return most
 
 
-def _iterate(
-    state: _State, values: C64, phasors: Phasors, view: Optics, recipe: Recipe, reach: int
-) -> _State:
-    before = state.found.range_m[0]
+def _tilt_rad(view: Optics, found: Candidates, reach: int) -> F32:
+    """Noise of normals: that of range over the distance between pixels and sqrt S."""
+    spread = (2 * reach + 1) ** 2 * reach * (reach + 1) / 3
+    apart_m = found.range_m[0] * np.sqrt(view.solid_angle_sr)
+    return np.asarray(1 / (np.sqrt(found.information * np.float32(spread)) * apart_m))
+
+
+def _iterate(state: _State, phasors: Phasors, view: Optics, recipe: Recipe, reach: int) -> _State:
+    values, before = phasors.values, state.found.range_m[0]
     noise_m: F32 | float = 0.0
     if phasors.sigma is not None:
         with np.errstate(divide="ignore"):
@@ -142,7 +196,8 @@ def _iterate(
 def _direct(values: C64, sigma: F32 | None, ratio: C64, gain: float) -> tuple[C64, F32 | None]:
     """Direct light and its noise: both shrink alike."""
     divisor = 1 + np.float32(gain) * ratio
-    direct = values / divisor
+    with np.errstate(divide="ignore", invalid="ignore"):
+        direct = values / divisor
     return direct, None if sigma is None else sigma / np.abs(divisor)
 
 
@@ -154,7 +209,7 @@ def _writable_parts(values: C64) -> F32:
     return values.view(np.float32).reshape(*values.shape, 2)
 
 
-@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def _to_ratio(arrived: F32, position: F32, flash: F32, turns: F32, ratio: F32) -> None:
     """Irradiance, turned by the way to the camera, over the flash's."""
     for v in prange(arrived.shape[1]):
@@ -168,45 +223,53 @@ def _to_ratio(arrived: F32, position: F32, flash: F32, turns: F32, ratio: F32) -
                 ratio[f, v, u, 1] = re * s + im * c
 
 
-def _answer(
-    phasors: Phasors, valid: Bool, plain: Candidates, last: _State, recipe: Recipe
-) -> DepthMap:
-    """Corrected where that is credible, plain with a larger sigma elsewhere."""
-    ratio = np.float32(last.gain) * last.ratio
-    share = 1 / np.maximum(np.abs(1 + ratio).max(axis=0), np.float32(1e-6))
-    most = 1 / np.maximum(np.abs(1 + ratio).min(axis=0), np.float32(1e-6))
-    direct = phasors.values / (1 + ratio)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        albedo = last.gain * (np.abs(direct) / last.flash).max(axis=0)
-        sigma_m = 1 / np.sqrt(last.found.information)
-        plain_sigma_m = 1 / np.sqrt(plain.information)
+def _doubtful(
+    phasors: Phasors, plain: Candidates, last: _State, recipe: Recipe, sigma_m: F32
+) -> tuple[Bool, F32, F32]:
+    """Where the corrected range is not credible; share of direct light; albedo."""
+    size = np.abs(1 + np.float32(last.gain) * last.ratio)
+    least, most = 1 / size.max(axis=0), 1 / size.min(axis=0)
+    albedo = last.gain * (np.abs(phasors.values) / (size * last.flash)).max(axis=0)
     shift_m = last.found.range_m[0] - plain.range_m[0]
     limit_m = SETTLED_M + (3 * sigma_m if phasors.sigma is not None else 0)
     # A count of turns that the last iteration changed has not settled.
     turn_m = recipe.walk.ambiguity_m.min()
     limit_m = np.maximum(limit_m, np.minimum(SETTLED_SHARE * np.abs(shift_m), turn_m / 4))
-    doubtful = (share < LEAST_SHARE) | (most > MOST_SHARE) | ~(albedo < MOST_ALBEDO)
-    doubtful |= ~(last.moved_m < limit_m) | ~np.isfinite(shift_m)
-    touched = (np.abs(ratio) > 0).any(axis=0)
-    fallback = valid & touched & doubtful
+    doubtful = (least < LEAST_SHARE) | (most > MOST_SHARE) | ~(albedo < MOST_ALBEDO)
+    doubtful |= ~np.isfinite(shift_m)
+    if recipe.iterations > 1:
+        doubtful |= ~(last.moved_m < limit_m)
+    touched = (np.abs(last.ratio) > 0).any(axis=0)
+    return doubtful & touched, least, albedo
+
+
+@np.errstate(all="ignore")  # pixels without an answer hold anything
+def _answer(
+    phasors: Phasors, valid: Bool, plain: Candidates, last: _State, recipe: Recipe, tilt_rad: F32
+) -> DepthMap:
+    """Corrected where that is credible, plain with a larger sigma elsewhere."""
+    sigma_m = np.asarray(1 / np.sqrt(last.found.information), np.float32)
+    plain_sigma_m = 1 / np.sqrt(plain.information)
+    doubtful, share, albedo = _doubtful(phasors, plain, last, recipe, sigma_m)
+    fallback = valid & doubtful
     nothing = np.float32(np.nan)
-    range_m = np.where(fallback, plain.range_m[0], last.found.range_m[0])
     spread = None
     if phasors.sigma is not None:
-        doubt = np.hypot(plain_sigma_m, np.nan_to_num(shift_m))
-        spread = np.where(valid, np.where(fallback, doubt, sigma_m), nothing)
-    removed = np.where(valid & ~fallback, phasors.values - direct, np.complex64(0))
-    strength = np.abs(phasors.values).max(axis=0)
+        shift_m = np.nan_to_num(last.found.range_m[0] - plain.range_m[0])
+        own = np.hypot(sigma_m, NORMAL_SLOPE * shift_m * tilt_rad)
+        spread = np.where(valid, np.where(fallback, np.hypot(plain_sigma_m, shift_m), own), nothing)
+    range_m = np.where(fallback, plain.range_m[0], last.found.range_m[0])
+    removed = phasors.values * (1 - 1 / (1 + np.float32(last.gain) * last.ratio))
     return DepthMap(
         range_m=np.where(valid, range_m, nothing),
         sigma_m=spread,
-        confidence=np.where(valid & ~fallback, share, np.where(valid, share * LEAST_SHARE, 0)),
-        amplitude=np.where(valid, strength, 0),
+        confidence=np.where(valid, np.where(fallback, share * LEAST_SHARE, share), 0),
+        amplitude=np.where(valid, np.abs(phasors.values).max(axis=0), 0),
         info={
             "status": np.where(valid, np.uint8(OK), np.uint8(INVALID)),
             "fallback": fallback,
-            "indirect": removed.astype(np.complex64),
-            "albedo": np.where(valid, np.minimum(albedo, 1e6), nothing).astype(np.float32),
+            "indirect": np.where(valid & ~fallback, removed, 0).astype(np.complex64),
+            "albedo": np.where(valid, albedo, nothing).astype(np.float32),
             "albedo_gain": last.gain,
             "iterations": recipe.iterations,
         },

@@ -18,11 +18,13 @@ LEAST_COS = 0.1
 """Surfaces seen at a more grazing angle count as seen at this one (84 degrees)."""
 FLATNESS = 0.5
 """A pixel whose window deviates from a plane by more than this share of its size is an edge."""
+NEAREST_M = 0.01
+"""Nothing is nearer: what noise or interference sends to zero has no surface."""
 ROUNDING = 2e-6
 """Relative residual of 1/z that float32 leaves on a plane."""
 
 
-@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def fit(inverse_z: F32, noise: F32, reach: int, planes: F32) -> None:
     """Affine fit of 1/z in the window around every pixel.
 
@@ -68,7 +70,7 @@ def fit(inverse_z: F32, noise: F32, reach: int, planes: F32) -> None:
             planes[3, v, u] = floor if floor < np.float32(1e3) else np.float32(np.inf)  # NaN too
 
 
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def _best(planes: F32, v: int, reach: int, best: F32) -> None:
     """Window with the least residual for a row of pixels (the nearest of equals): best (4, W)."""
     height, width = planes.shape[1:]
@@ -91,7 +93,7 @@ def _best(planes: F32, v: int, reach: int, best: F32) -> None:
                     best[3, u] = new
 
 
-@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
 def choose(
     rays: F32, steps: F32, solid: F32, range_m: F32, noise: F32, reach: int, planes: F32,
     vectors: F32, scalars: F32, masks: Bool,
@@ -123,7 +125,7 @@ def choose(
         _best(planes, v, reach, best)
         for u in range(width):
             rx, ry, rz = rays[0, v, u], rays[1, v, u], rays[2, v, u]
-            known = range_m[v, u] > 0
+            known = range_m[v, u] > np.float32(NEAREST_M)
             r = range_m[v, u] if known else np.float32(0)
             nx, ny, nz, cos, flat = -rx, -ry, -rz, np.float32(1), False
             q, gu, gv = best[0, u], best[1, u], best[2, u]

@@ -65,6 +65,7 @@ def checked(
     albedo_gain: float,
     max_range_m: float,
     method: str,
+    stride_px: int = 1,
 ) -> Recipe:
     """A recipe from the parameters of a method, refused if one is out of range."""
     if iterations < 1:
@@ -74,7 +75,7 @@ def checked(
         msg = f"albedo_gain must be positive, or 0 to fit it, got {albedo_gain}"
         raise ValueError(msg)
     walk = plan(sensor, max_range_m, least_freqs=1, method=method)
-    return Recipe(walk, irradiance, int(iterations), float(albedo_gain))
+    return Recipe(walk, irradiance, int(iterations), float(albedo_gain), stride_px)
 
 
 def all_pairs(view: Optics, seen: Surface, values: C64) -> C64:
