@@ -31,6 +31,8 @@ from toftools.units import range_to_phase
 BLOCK = 64
 """Pixels that share the arrays of a fit."""
 STEPS = 12
+SMALL_RAD = 1e-5
+"""A step this short is the last: convergence is fast enough that the next one is none."""
 LONGEST_RAD = 0.5
 """Longest step of a return, as phase of the highest frequency."""
 FARTHEST_RAD = 1.5
@@ -145,13 +147,13 @@ def fit_returns(
                 count += 1
             if count == 0:
                 continue
-            _weigh(values, sigma, known, p, bounds.epsilon, z, weight)
+            weigh_pixel(values, sigma, known, p, bounds.epsilon, z, weight)
             sigma_m[p] = _push(z, weight, rad_per_m, amplitudes[0, p], bounds.epsilon)
             for few in range(1, min(count, n_freqs) + 1):
                 _strongest(ranges_m[:, p], amplitudes[:, p], d[:few], a[:few])
-                if not _fit(z, weight, rad_per_m, d[:few], a[:few], matrix, right, rows):
+                if not fit_pixel(z, weight, rad_per_m, d[:few], a[:few], matrix, right, rows):
                     continue
-                own_m, excess = _settle(
+                own_m, excess = settle(
                     z, weight, rad_per_m, bounds, d[:few], a[:few], matrix, right, rows
                 )
                 if few < count and (excess > 1 or few == n_freqs):
@@ -167,7 +169,7 @@ def fit_returns(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _weigh(
+def weigh_pixel(
     values: NDArray[np.complex64], sigma: F32, known: bool, p: int, epsilon: float,
     z: C128, weight: F64,
 ) -> None:  # fmt: skip
@@ -207,7 +209,7 @@ def _push(z: C128, weight: F64, rad_per_m: F64, amplitude: float, epsilon: float
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _fit(
+def fit_pixel(
     z: C128, weight: F64, rad_per_m: F64, d: F64, a: F64, matrix: F64, right: F64, rows: F64
 ) -> bool:
     """Gauss-Newton from d, which it changes with a; whether it held."""
@@ -225,13 +227,13 @@ def _fit(
             d[k] += move
             a[k] = max(a[k] + right[k], 0.2 * a[k])
             largest = max(largest, abs(move))
-        if largest * top < 1e-6:
+        if largest * top < SMALL_RAD:
             break
     return bool(np.abs(d - begun).max() * top < FARTHEST_RAD)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _settle(
+def settle(
     z: C128, weight: F64, rad_per_m: F64, bounds: Bounds, d: F64, a: F64,
     matrix: F64, right: F64, rows: F64,
 ) -> tuple[float, float]:  # fmt: skip
