@@ -95,10 +95,14 @@ def feigin2016(
         out = Fit(ranges_m, np.zeros(ranges_m.shape), sigma_m, np.full(z.shape[1], np.inf))
         todo = np.arange(z.shape[1])
         for n in range(1, returns + 1):
-            found = fit_returns(z[:, todo], noise[:, todo], k, propose(z[:, todo], n), 0)
+            here = np.ascontiguousarray(z[:, todo])
+            its_noise = np.ascontiguousarray(noise[:, todo])
+            found = fit_returns(here, its_noise, k, propose(here, n), 0)
             done = (found.chi2 <= chi2_limit(2 * (k.size - n))) | (n == returns)
             pixels, found = todo[done], Fit(*(part[..., done] for part in found))
-            own = _carried(propose, z[:, pixels], noise[:, pixels], found.ranges_m, period_m)
+            here = np.ascontiguousarray(here[:, done])
+            its_noise = np.ascontiguousarray(its_noise[:, done])
+            own = _carried(propose, here, its_noise, found.ranges_m, period_m)
             out.ranges_m[:n, pixels], out.sigma_m[:n, pixels] = found.ranges_m, own
             out.amplitudes[:n, pixels], out.chi2[pixels] = found.amplitudes, found.chi2
             todo = todo[~done]
@@ -149,4 +153,4 @@ def sharpened(ranges_m: F64, z: Complexes, freqs_hz: F64) -> F64:
     right = np.einsum("flp,fp->pl", turns.conj(), z)
     carried = np.linalg.solve(gram, right[..., None])[..., 0].T  # a_l exp(j k_middle d_l)
     left = np.angle(carried * np.exp(-1j * range_to_phase(ranges_m, middle)))
-    return np.asarray(ranges_m + left / range_to_phase(1.0, middle))
+    return np.ascontiguousarray(ranges_m + left / range_to_phase(1.0, middle))

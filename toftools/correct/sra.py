@@ -30,7 +30,7 @@ holds one side; or within 12.5 cm of the limit. Of 228,000 pixels of rendered ro
 
 Time at 320x240, on two cores shared with other work: 80/16/120 MHz 80 ms for lone returns, which
 need no program (_sra_lone.py), and 0.7 s where every pixel has two; 40/70 MHz 50 and 130 ms.
-Making takes a table of 0.5 s of CPU, with a limit 3 s. Memory: at F frequencies 40 F + 20 bytes a
+Making takes a table of 0.5 s of CPU, with a limit 3 s. Memory: at F frequencies 32 F + 30 bytes a
 pixel, most of them for `info`.
 """
 
