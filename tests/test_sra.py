@@ -9,6 +9,7 @@ import pytest
 import reference_sra as slow
 
 from toftools.correct import INVALID, OK, REJECTED
+from toftools.correct import _sra_pricing as pricing
 from toftools.correct import _sra_simplex as simplex
 from toftools.correct._sra_fit import Bounds, fit_returns
 from toftools.correct._sra_grid import MAX_CELLS, group_returns, range_grid
@@ -100,6 +101,31 @@ def slack(residual, weights, bound):
     edges = np.exp(1j * np.pi * (2 * np.arange(16) + 1) / 16)
     gauge = np.max((residual[:, None] * edges.conj()).real, axis=1) / np.cos(np.pi / 16)
     return bound - weights @ gauge
+
+
+def test_pricing_misses_no_cell_between_those_it_looks_at():
+    rng = np.random.default_rng(15)
+    freqs = KINECT.modulation.freqs_hz
+    ranges_m, _ = range_grid(freqs, 0.01, 0.0)
+    grid, mean, hidden = make_grid(freqs, ranges_m), np.full(6, 1 / 6), 0
+    costs = np.array([pricing.unit_cost(grid.cells, j, mean) for j in range(ranges_m.size)])
+    gains = np.empty(grid.coarse.shape[1])
+    for _ in range(300):
+        price = rng.normal(size=6)
+        # The best cell gains next to nothing: every 16th one mostly loses.
+        price *= 1.0005 / (grid.cells @ price).max()
+        first, last = int(rng.integers(0, 400)), ranges_m.size - int(rng.integers(0, 400))
+        worth = (grid.cells @ price - costs)[first:last]
+        coarse = costs[::16].copy()
+        hidden += pricing.enter_coarse(grid.coarse, first, last, price, coarse, gains)[1] < 0
+        least = pricing.least_gain(grid.rise, np.r_[price, 0.0])
+        gain, cell = pricing.enter_all(grid.cells, first, last, price, mean, gains, least)
+        if worth.max() > 1e-9:
+            assert abs(gain - worth.max()) < 1e-12
+            assert first <= cell < last
+        else:
+            assert cell < 0
+    assert hidden > 200
 
 
 def test_no_returns_where_the_window_cannot_explain_the_phases():

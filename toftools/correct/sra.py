@@ -28,10 +28,10 @@ The table: of 3000 pixels of two returns (40/70 MHz) 98 % agree within 2 cm, 96 
 two solutions cost nearly the same, so that the first return jumps, often by metres, and a cell
 holds one side; or within 12.5 cm of the limit. Of 228,000 pixels of rendered rooms two disagree.
 
-Time at 320x240, on two cores shared with other work: 80/16/120 MHz 80 ms for lone returns, which
-need no program (_sra_lone.py), and 0.7 s where every pixel has two; 40/70 MHz 50 and 130 ms.
-Making takes a table of 0.5 s of CPU, with a limit 3 s. Memory: at F frequencies 32 F + 30 bytes a
-pixel, most of them for `info`.
+CPU time at 320x240, half of which passes on two free cores: 80/16/120 MHz 0.16 s for lone returns,
+which need no program (_sra_lone.py), and 1.4 s where every pixel has two (measured on `kinect2`'s
+frequencies: 79 and 714 ms passed); 40/70 MHz 0.10 and 0.25 s. Making takes a table of 0.5 s, with
+a limit 3 s. Memory: at F frequencies 32 F + 30 bytes a pixel, most of them for `info`.
 """
 
 from collections.abc import Callable
