@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from toftools.correct.crt import crt
-from toftools.correct.semi_global import PATHS, aggregate, semi_global
+from toftools.correct.semi_global import aggregate, semi_global
 from toftools.phasor import phasors_of
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
 from toftools.types import Phasors, Scene, Shot
+
+PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def twin(range_m, cost, valid, jump):

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.correct import INVALID, OK, refuse_emitter_offset
+from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
 from toftools.correct._evidence import Explained, explained, frame_mean, noise_of, pooled
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
@@ -133,6 +133,7 @@ def auto(
         lit = flash if same else optics(sensor, phasors.valid.shape).flash.mean(axis=0)
         return _decided(phasors, rivals, lit)
 
+    warm_up(run, freqs.size)
     return run
 
 

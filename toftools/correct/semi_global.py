@@ -24,15 +24,13 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from toftools.correct import INVALID, OK, kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._scene import optics
+from toftools.correct._turns import FAST, turns
 from toftools.correct._wraps import Candidates, plan, search
 from toftools.types import C64, F32, Bool, DepthMap, Phasors, Sensor
 from toftools.units import TWO_PI, range_to_phase
-
-I64 = NDArray[np.int64]
 
 HYPOTHESES = 5
 WHITE, WHITE_SPREAD = np.float32(1.1), np.float32(0.15)
@@ -49,7 +47,6 @@ MOST_SAMPLES = 4096
 """Pixels for a statistic of the frame."""
 MOST_AGAINST = 0.65
 """Share of pixels that may lean against multipath; noise alone makes it one half."""
-PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def semi_global(
@@ -186,15 +183,17 @@ def _price(
     mean = k.mean()
     for p in prange(values.shape[1]):
         least = np.float32(np.inf)
+        cycles = np.empty(k.size, np.float32)
+        for f in range(k.size):
+            cycles[f] = turns(values[f, p].real, values[f, p].imag)
         for t in range(range_m.shape[0]):
             if not chi2[t, p] < np.inf:
                 cost[t, p] = np.inf
                 continue
             lean = np.float32(0.0)  # negative: the lower the frequency, the longer its range
             for f in range(k.size):
-                phase = np.arctan2(values[f, p].imag, values[f, p].real) - k[f] * range_m[t, p]
-                off = (phase - TWO_PI * np.rint(phase / TWO_PI)) / k[f]
-                lean += off * (k[f] - mean)
+                off = cycles[f] - k[f] / TWO_PI * range_m[t, p]
+                lean += (off - np.rint(off)) / k[f] * (k[f] - mean)
             noise = np.float32(1.0) if known else np.float32(0.0)
             misfit = chi2[t, p] / max(noise + error[0] ** 2 * snr2[p], np.float32(1e-30))
             if lean < 0:
@@ -225,64 +224,72 @@ def aggregate(range_m: F32, cost: F32, valid: Bool, jump: float) -> F32:
     """
     with np.errstate(invalid="ignore"):
         ranges = np.where(np.isfinite(range_m), range_m, FAR_M).astype(np.float32)
-    # Pixels as rows: the hypotheses of one lie together.
-    ranges = np.ascontiguousarray(np.moveaxis(ranges, 0, -1))
-    own = np.ascontiguousarray(np.moveaxis(np.where(valid, cost, np.float32(0)), 0, -1))
+    own = np.where(valid, cost, np.float32(0))
     total = np.zeros_like(own)
-    for dy, dx in PATHS:
-        starts = _starts((own.shape[0], own.shape[1]), dy, dx)
-        _sweep(ranges, own, valid, starts, np.array([dy, dx]), np.float32(jump), total)
-    return np.moveaxis(total, -1, 0)
+    # Rows first, and pixels of a row together: columns are the rows of the transposed image.
+    for axes, ways in (((1, 0, 2), ((1, 0), (1, 1), (1, -1))), ((2, 0, 1), ((1, 0),))):
+        rows, costs = (np.ascontiguousarray(a.transpose(axes)) for a in (ranges, own))
+        mask = np.ascontiguousarray(valid if axes[0] == 1 else valid.T)
+        summed = np.zeros_like(costs)
+        for dy, dx in ways:
+            for sign in (dy, -dy):
+                _sweep(rows, costs, mask, summed, sign, dx, np.float32(jump))
+        total += summed.transpose(np.argsort(axes))
+    return total
+
+
+@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+def _extend(
+    here: F32, own: F32, there: F32, before: F32, jump: np.float32, best: F32, out: F32
+) -> None:
+    """Equation 13 for a row: own costs plus the cheapest way from the row before."""
+    n = own.shape[0]
+    base = before[0].copy()
+    for s in range(1, n):
+        for x in range(base.size):
+            base[x] = min(base[x], before[s, x])
+    for t in range(n):
+        best[:] = DEAREST * jump
+        for s in range(n):
+            for x in range(base.size):
+                step = min(abs(here[t, x] - there[s, x]), np.float32(1.0))
+                best[x] = min(best[x], before[s, x] - base[x] + jump * step)
+        for x in range(base.size):
+            out[t, x] = own[t, x] + best[x]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _step(here: F32, own: F32, there: F32, before: F32, jump: np.float32, out: F32) -> None:
-    """Equation 13 for one pixel: own costs plus the cheapest way from the pixel before."""
-    base = before.min()
-    for t in range(own.size):
-        cheapest = np.float32(np.inf)
-        for s in range(own.size):
-            step = min(abs(here[t] - there[s]), np.float32(1.0))
-            cheapest = min(cheapest, before[s] + jump * step)
-        out[t] = own[t] + cheapest - base
-
-
-def _starts(shape: tuple[int, int], dy: int, dx: int) -> I64:
-    """First pixels (N, 2) of all paths in one direction: those without a pixel before them."""
-    v, u = np.indices(shape)
-    first = np.zeros(shape, bool)
-    if dy:
-        first |= v == (0 if dy > 0 else shape[0] - 1)
-    if dx:
-        first |= u == (0 if dx > 0 else shape[1] - 1)
-    return np.ascontiguousarray(np.argwhere(first))
-
-
-@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _sweep(
-    range_m: F32, own: F32, valid: Bool, starts: I64, step: I64, jump: np.float32, total: F32
+    range_m: F32, own: F32, valid: Bool, total: F32, dy: int, dx: int, jump: np.float32
 ) -> None:
-    """Add the costs along one direction; every path is walked by one thread."""
-    for path in prange(starts.shape[0]):
-        _walk(range_m, own, valid, starts[path], step, jump, total)
+    """Add the costs along one direction, row by row; invalid pixels are stepped over."""
+    height, n, width = own.shape
+    # What the paths bring into a row: hypotheses and costs of the last valid pixel of each.
+    there, before = np.zeros((n, width), np.float32), np.zeros((n, width), np.float32)
+    began = np.zeros(width, np.bool_)
+    out, best = np.empty((n, width), np.float32), np.empty(width, np.float32)
+    for row in range(height):
+        y = row if dy > 0 else height - 1 - row
+        _extend(range_m[y], own[y], there, before, jump, best, out)
+        for x in range(width):
+            if valid[y, x]:
+                for t in range(n):
+                    before[t, x] = out[t, x] if began[x] else own[y, t, x]
+                    there[t, x] = range_m[y, t, x]
+                    total[y, t, x] += before[t, x]
+                began[x] = True
+        if dx != 0:
+            _shift(there, before, began, dx)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _walk(
-    range_m: F32, own: F32, valid: Bool, start: I64, step: I64, jump: np.float32, total: F32
-) -> None:
-    """Add the costs along one path, from valid pixel to valid pixel."""
-    height, width, n = own.shape
-    before, cost = np.zeros(n, np.float32), np.empty(n, np.float32)
-    y, x = start[0], start[1]
-    v, u = np.int64(-1), np.int64(-1)  # the last valid pixel
-    while 0 <= y < height and 0 <= x < width:
-        if valid[y, x]:
-            cost[:] = own[y, x]
-            if v >= 0:
-                _step(range_m[y, x], own[y, x], range_m[v, u], before, jump, cost)
-            before[:] = cost
-            total[y, x] += cost
-            v, u = y, x
-        y += step[0]
-        x += step[1]
+def _shift(there: F32, before: F32, began: Bool, dx: int) -> None:
+    """Move the paths sideways; new ones enter at the border."""
+    width = began.size
+    for i in range(width):
+        x = width - 1 - i if dx > 0 else i
+        inside = 0 <= x - dx < width
+        began[x] = began[x - dx] if inside else False
+        for t in range(there.shape[0]):
+            there[t, x] = there[t, x - dx] if inside else np.float32(0)
+            before[t, x] = before[t, x - dx] if inside else np.float32(0)
