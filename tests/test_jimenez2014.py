@@ -85,7 +85,7 @@ def test_the_first_round_is_more_than_a_step():
 
 
 def test_sigma_is_honest():
-    camera, range_m, light = frame_of(ONE, (0.5, 0.5))
+    camera, range_m, light = frame_of(ONE, (0.2, 0.2))
     run, errors = jimenez2014(camera, nodes=200), []
     rng = np.random.default_rng(1)
     for _ in range(4):

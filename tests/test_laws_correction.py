@@ -28,6 +28,7 @@ SENSORS = {
     "residual_voting": (THREE,),
     "fuchs2010": (ONE, TWO, THREE),
     "fuchs2010_all_pairs": (ONE, TWO),
+    "fuchs2013": (ONE, TWO, THREE),
     "jimenez2014": (ONE, TWO, THREE),
     "kde": (TWO, THREE),
     "sra": (TWO, THREE),
@@ -76,6 +77,7 @@ BLACK = {"albedo_gain": 1e-9}
 PARAMS = {
     "fuchs2010": BLACK,
     "fuchs2010_all_pairs": BLACK,
+    "fuchs2013": BLACK,
     "jimenez2014": BLACK,
     "auto": {"bounced": "fuchs2010:albedo_gain=1e-9"},
 }

@@ -195,6 +195,10 @@ CORRECTIONS = _table(
         grid={"tol_mm": (0.3, 1.0, 3.0, 10.0), "iterations": (1, 3)},
     ),
     fuchs2010_all_pairs=Spec("toftools.correct.fuchs2010_all_pairs:fuchs2010_all_pairs"),
+    fuchs2013=Spec(
+        "toftools.correct.fuchs2013:fuchs2013",
+        grid={"segments": (1, 2, 4, 8), "tol_mm": (1.0, 10.0)},
+    ),
     jimenez2014=Spec(
         "toftools.correct.jimenez2014:jimenez2014",
         grid={"nodes": (100, 300, 1200), "iterations": (3, 10)},

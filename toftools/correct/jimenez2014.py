@@ -14,15 +14,15 @@ taking the measured light of the emitters, albedo as a function of the ranges, s
 correction instead of the surface, the last step at full resolution, and the return to the plain
 answer where the result is not credible (`fuchs2010`).
 
-Input: as for `fuchs2010`, one frequency upwards. Time: 1.7 s of one core a frame of 320 x 240 at
+Input: as for `fuchs2010`, one frequency upwards. Time: 1.8 s of one core a frame of 320 x 240 at
 two frequencies (1200 nodes, 30 steps), where the paper has minutes; about 400 bytes a pixel. Fails
 as `fuchs2010` does: light from surfaces out of view, wrong turns at the start (another minimum),
 mirrors; and where objects are smaller than a node. Its optimum solves the equations that the
 iteration of `fuchs2010` solves: it is no more exact where that one has converged. Mean absolute
 error before and after, first set of captures (48 x 64, 40/70 MHz, noise of the sensor): corner 57
--> 12 mm, V of 60 degrees 36 -> 8, V of 90 16 -> 6, rooms 61 -> 49, 52 -> 37 and 29 -> 17, prisms
-47 -> 20 and 49 -> 47 mm; medians of Cornell boxes 77 -> 71 and 59 -> 59 mm (their means, 0.7 m,
-are wrong turns).
+-> 12 mm, V of 60 degrees 36 -> 9, V of 90 16 -> 7, rooms 61 -> 49, 52 -> 36 and 29 -> 16, prisms
+47 -> 14 and 49 -> 41 mm; medians of Cornell boxes 77 -> 63 and 59 -> 54 mm (their means, 0.7 m,
+are wrong turns). Su frames 1-3 (`albedo_gain` 0, medians): 45 -> 33, 23 -> 10, 65 -> 48 mm.
 """
 
 from collections.abc import Callable
