@@ -201,7 +201,7 @@ CORRECTIONS = _table(
     ),
     jimenez2014=Spec(
         "toftools.correct.jimenez2014:jimenez2014",
-        grid={"nodes": (100, 300, 1200), "iterations": (3, 10)},
+        grid={"nodes": (100, 400, 1200), "iterations": (3, 10)},
     ),
     gupta2015=Spec("toftools.correct.gupta2015:gupta2015"),
     heide2013=Spec(
