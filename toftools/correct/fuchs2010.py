@@ -12,13 +12,19 @@ correct together; a pixel whose answer is not credible (energy diverges, albedo 
 settled) falls back to the uncorrected range with a sigma that holds both.
 
 Input: phasors of one frequency upwards, in the unit of the sensor's electronics: amplitudes are
-absolute (`Noise.signal_e`, the emitter's beam), else fit `albedo_gain`. Fails where light comes
-from surfaces out of view, and in part where other surfaces stand between (visibility is not looked
-at: `prism` in the first set gains 13 mm on a wall behind its box); where MPI has broken the count
-of turns before it starts; and where surfaces mirror. Mean absolute error before and after, first
-set of captures (48 x 64, 40/70 MHz, noise of the sensor): corner 57 -> 15 mm, V of 60 degrees
-36 -> 13, rooms 61 -> 47, 52 -> 36 and 29 -> 18, prisms 49 -> 32 and 47 -> 17 mm; medians of
-Cornell boxes 77 -> 63 and 59 -> 54 mm (their means, 0.7 m, are wrong turns).
+absolute (`Noise.signal_e`, the emitter's beam), else fit `albedo_gain`. Memory: 300 bytes a pixel.
+
+Fails where light comes from surfaces out of view, and in part where other surfaces stand between
+(visibility is not looked at: `prism` in the first set puts 13 mm too little on the wall behind its
+box); where interference has broken the count of turns before it starts; and where surfaces mirror.
+Where the model holds (a right-angled corner, all bounces, all of it in view) 12 iterations leave
+0.1 mm of 43 at an albedo of 0.8; three leave 1.4. Its sigma is then right within 6 % up to an
+albedo of 0.5, and too small by 1.3 to 1.8 at 0.8, where noise of the geometry comes back through
+the transport. Mean absolute error before and after, first set of captures (48 x 64, 40/70 MHz,
+noise of the sensor): corner 57 -> 13 mm, V of 60 degrees 36 -> 8, of 90 degrees 16 -> 6, rooms
+61 -> 49, 52 -> 36 and 29 -> 18, prisms 49 -> 35 and 47 -> 14 mm; medians of Cornell boxes
+77 -> 63 and 59 -> 54 mm (their means, 0.7 m, are wrong turns). `plates`, lit from out of view,
+stay as they are.
 """
 
 from collections.abc import Callable
@@ -43,6 +49,7 @@ def fuchs2010(
     iterations: int = 3,
     albedo_gain: float = 1.0,
     max_range_m: float = 0.0,
+    start: str = "",
 ) -> Callable[[Phasors], DepthMap]:
     """Range without diffuse interreflection.
 
@@ -61,6 +68,9 @@ def fuchs2010(
         percentile.
     max_range_m : float
         Longest range that can occur, m; 0 stands for the joint ambiguity, as in `crt`.
+    start : str
+        Correction whose range starts the iteration and fixes the counts of turns, such as
+        `semi_global`, which multipath does not mislead; empty searches anew at every step.
 
     Returns
     -------
@@ -101,7 +111,9 @@ def fuchs2010(
     def sparse(view: Optics, seen: Surface, values: C64) -> C64:
         return irradiance(view, seen, values, 1e-3 * tol_mm)
 
-    recipe = checked(sensor, sparse, iterations, albedo_gain, max_range_m, "fuchs2010", PREVIEW_PX)
+    recipe = checked(
+        sensor, sparse, iterations, albedo_gain, max_range_m, "fuchs2010", PREVIEW_PX, start
+    )
     own = optics(sensor)
 
     def run(phasors: Phasors) -> DepthMap:
