@@ -18,6 +18,10 @@ from toftools.units import TWO_PI
 
 MOST = 50.0
 """A pixel's chi^2 per degree of freedom counts as no more: no outlier speaks for a window."""
+FRAME_SHARE = 0.25
+"""Share of a frame's excess residual that a model must explain to be believed."""
+WINDOW_SHARE = 0.3
+"""The same for a window of a frame that is not convinced as a whole."""
 LEAST_NOISE = 1e-4
 """Phase noise counts as no less, rad: calibration is never better."""
 
@@ -187,3 +191,34 @@ def frame_mean(chi2: F32, valid: Bool, dof: int) -> tuple[float, float]:
     count = max(int(valid.sum()), 1)
     capped = np.minimum(chi2[valid] / np.float32(dof), np.float32(MOST))
     return float(capped.sum() / count), float(np.sqrt(2 / dof / count))
+
+
+def explains_more(before: F32, after: F32, usable: Bool, dof: int) -> tuple[Bool, str]:
+    """Where a model of the whole frame's light is to be believed.
+
+    Parameters
+    ----------
+    before, after : ndarray, (H, W)
+        Residuals without and with the model.
+    usable : ndarray, (H, W), bool
+        Pixels that count.
+    dof : int
+        Degrees of freedom of a pixel.
+
+    Returns
+    -------
+    believed : ndarray, (H, W), bool
+        If the frame is convinced, all windows that do not contradict; else those that are
+        convinced by themselves.
+    reason : str
+        The frame's figures as a sentence.
+    """
+    old, count = pooled(before, usable, dof)
+    new, _ = pooled(after, usable, dof)
+    error = np.sqrt(2 / dof / np.maximum(count, 1))
+    whole, whole_error = frame_mean(before, usable, dof)
+    fallen = whole - frame_mean(after, usable, dof)[0]
+    reason = f"mean residual {whole:.2f} falls to {whole - fallen:.2f}, where noise leaves 1"
+    if fallen > max(4 * whole_error, FRAME_SHARE * (whole - 1)):
+        return np.asarray(new < old + 2 * error), reason
+    return np.asarray(old - new > np.maximum(3 * error, WINDOW_SHARE * (old - 1))), reason

@@ -22,6 +22,7 @@ from numba import njit, prange
 from toftools._transfer import sincos
 from toftools.correct import INVALID, OK, kernel_input
 from toftools.correct._albedo_gain import fitted_gain
+from toftools.correct._evidence import explained
 from toftools.correct._scene import Optics, Surface, lit, surface
 from toftools.correct._turns import FAST
 from toftools.correct._wraps import Candidates, Plan, search
@@ -65,6 +66,9 @@ class Recipe:
         Factor of the radiometric albedo; 0 fits it.
     stride_px : int
         All iterations but the last see every so-many-th row and column; 1 sees all.
+    start : callable or None
+        Correction whose range starts the iteration and fixes the count of turns; None searches
+        the most likely range at every step.
     """
 
     walk: Plan
@@ -72,6 +76,7 @@ class Recipe:
     iterations: int
     albedo_gain: float
     stride_px: int
+    start: Callable[[Phasors], DepthMap] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +108,9 @@ def freed(phasors: Phasors, view: Optics, recipe: Recipe) -> DepthMap:
         See `toftools.correct.fuchs2010`.
     """
     plain = search(phasors, recipe.walk, top=1)
-    valid = phasors.valid & (plain.information > 0)
+    if recipe.start is not None:
+        plain = replace(plain, range_m=recipe.start(phasors).range_m[None])
+    valid = phasors.valid & (plain.information > 0) & np.isfinite(plain.range_m[0])
     values = np.ascontiguousarray(np.where(valid, phasors.values, np.complex64(0)))
     known = Phasors(values, phasors.sigma, valid)
     state = _start(plain, values, recipe)
@@ -189,8 +196,25 @@ def _iterate(state: _State, phasors: Phasors, view: Optics, recipe: Recipe, reac
     _to_ratio(arrived, seen.position, flash, turns, _writable_parts(ratio))
     gain = recipe.albedo_gain or fitted_gain(values, ratio, flash, range_m, view.freqs_hz)
     direct, sigma = _direct(values, phasors.sigma, ratio, gain)
-    found = search(Phasors(direct, sigma, phasors.valid), recipe.walk, top=1)
+    freed_phasors = Phasors(direct, sigma, phasors.valid)
+    found = (
+        search(freed_phasors, recipe.walk, top=1)
+        if recipe.start is None
+        else _near(freed_phasors, before, recipe.walk)
+    )
     return _State(found, ratio, flash, gain, np.abs(found.range_m[0] - before))
+
+
+def _near(phasors: Phasors, range_m: F32, walk: Plan) -> Candidates:
+    """The range next to a given one, as `search` would give it."""
+    sigma = phasors.sigma
+    if sigma is None:  # as in `search`: the mean power stands in
+        power = np.mean(np.abs(phasors.values) ** 2, axis=0)
+        sigma = np.broadcast_to(np.sqrt(power), phasors.values.shape)
+    found = explained(phasors.values, sigma, range_m, np.sqrt(walk.information), phasors.valid)
+    with np.errstate(divide="ignore"):
+        information = np.asarray(1 / found.sigma_m**2, np.float32)
+    return Candidates(found.range_m[None], found.chi2[None], information, walk.ambiguity_m.size)
 
 
 def _direct(values: C64, sigma: F32 | None, ratio: C64, gain: float) -> tuple[C64, F32 | None]:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
-from toftools.correct._evidence import Explained, explained, frame_mean, noise_of, pooled
+from toftools.correct._evidence import Explained, explained, explains_more, noise_of, pooled
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
@@ -35,20 +35,17 @@ from toftools.units import range_to_phase
 
 MODELS = ("one return", "bounced light", "two returns", "learned")
 ONE, BOUNCED, TWO, LEARNED = range(4)
-FRAME_SHARE = 0.25
-"""Share of a frame's excess residual that bounced light must explain to be believed."""
-WINDOW_SHARE = 0.3
-"""The same for a window of a frame that is not convinced as a whole."""
 UNEXPLAINED = 3.0
 """Mean residual per degree of freedom from which a neighbourhood needs a richer model."""
-TWO_LEFT = 0.25
-"""Share of it that two returns may leave."""
+TWO_LEFT = 2.0
+"""And the most that two returns may leave: they have to be the model, not merely a better one."""
 TRANSPORT_ERROR = 0.3
 """Share of its correction that bounced light may be wrong by: surfaces out of view, normals."""
 WHITE = 1.3
 """Largest albedo of a surface; above 1 for noise and slanted light."""
 LEAST_ALBEDO = 0.02
-"""Median albedo below which amplitudes cannot be in the sensor's unit."""
+"""Median albedo below which amplitudes cannot be in the sensor's unit: the strength of bounced
+light is then fitted to the agreement of the frequencies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +53,8 @@ class _Rivals:
     """The methods behind the models; None where the sensor does not suit one."""
 
     one: Callable[[Phasors], DepthMap]
-    bounced: Callable[[Phasors], DepthMap] | None
+    bounced: Callable[[Phasors], DepthMap]
+    fitted: Callable[[Phasors], DepthMap] | None
     two: Callable[[Phasors], DepthMap] | None
     learned: Callable[[Phasors], DepthMap] | None
     k: F64
@@ -74,7 +72,7 @@ class _Choice:
 
 
 def auto(
-    sensor: Sensor, *, bounced: str = "fuchs2010", learned: str = "", max_range_m: float = 0.0
+    sensor: Sensor, *, bounced: str = "", learned: str = "", max_range_m: float = 0.0
 ) -> Callable[[Phasors], DepthMap]:
     """Range by the cheapest model that explains the data.
 
@@ -84,7 +82,7 @@ def auto(
         Any; with one frequency only bounced light can be told, by its energy.
     bounced : str
         Correction for bounced light, as ``name[:key=val,...]`` or ``module:function``: one that
-        gives ``info["indirect"]``.
+        gives ``info["indirect"]``; empty for `fuchs2010` from the ranges of one return.
     learned : str
         A learned correction, the same way; empty for none.
     max_range_m : float
@@ -119,9 +117,12 @@ def auto(
     refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     name = "semi_global" if freqs.size > 1 else "crt"
+    own = f"fuchs2010:start={name}"
+    fitted = freqs.size > 1 and not bounced
     rivals = _Rivals(
         CORRECTIONS[name].build(sensor, max_range_m=max_range_m),
-        find(CORRECTIONS, bounced).build(sensor),
+        find(CORRECTIONS, bounced or own).build(sensor),
+        find(CORRECTIONS, f"{own},albedo_gain=0").build(sensor) if fitted else None,
         None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor),
         find(CORRECTIONS, learned).build(sensor) if learned else None,
         range_to_phase(1.0, freqs),
@@ -163,16 +164,23 @@ def _bounced(
     why: dict[str, str],
 ) -> tuple[_Choice, Phasors]:  # fmt: skip
     """Bounced light taken out where that explains more; and the phasors that remain."""
-    assert rivals.bounced is not None
-    tried = rivals.bounced(phasors)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        albedos = (np.abs(phasors.values).mean(axis=0) * choice.range_m**2 / flash)[usable]
+    albedo = float(np.median(albedos)) if albedos.size else 0.0
+    lit = LEAST_ALBEDO < albedo < WHITE
+    tried = (rivals.bounced if lit or rivals.fitted is None else rivals.fitted)(phasors)
     removed = np.asarray(tried.info["indirect"])
     direct = np.where(usable, phasors.values - removed, phasors.values)
     freed = explained(direct, noise, choice.range_m, rivals.k, usable)
     touched = usable & (removed != 0).any(axis=0)
     if rivals.k.size > 1:
-        believed = _explains_more(choice.chi2, freed.chi2, usable, rivals.k.size - 1, why)
+        believed, reason = explains_more(choice.chi2, freed.chi2, usable, rivals.k.size - 1)
+        why[MODELS[BOUNCED]] = reason + ("" if lit else ", its strength fitted")
     else:
-        believed = _credible(phasors, choice.range_m, usable, flash, why)
+        believed = np.full(usable.shape, lit)
+        why[MODELS[BOUNCED]] = f"one frequency; the median albedo {albedo:.2f} is " + (
+            "that of a surface" if lit else "not that of a surface, so amplitudes say nothing"
+        )
     taken = touched & believed
     change = np.where(touched, np.abs(freed.range_m - choice.range_m), 0)
     doubt = np.where(taken, np.float32(TRANSPORT_ERROR), 1) * change
@@ -194,35 +202,6 @@ def _merge(choice: _Choice, other: Explained, taken: Bool, model: int, doubt: F3
     )
 
 
-def _explains_more(before: F32, after: F32, usable: Bool, dof: int, why: dict[str, str]) -> Bool:
-    """Where frequencies agree better after than before, in the frame and in each window."""
-    old, count = pooled(before, usable, dof)
-    new, _ = pooled(after, usable, dof)
-    error = np.sqrt(2 / dof / np.maximum(count, 1))
-    whole, whole_error = frame_mean(before, usable, dof)
-    fallen = whole - frame_mean(after, usable, dof)[0]
-    why[MODELS[BOUNCED]] = (
-        f"mean residual {whole:.2f} falls to {whole - fallen:.2f}, where noise leaves 1"
-    )
-    if fallen > max(4 * whole_error, FRAME_SHARE * (whole - 1)):
-        return np.asarray(new < old + 2 * error)
-    return np.asarray(old - new > np.maximum(3 * error, WINDOW_SHARE * (old - 1)))
-
-
-def _credible(
-    phasors: Phasors, range_m: F32, usable: Bool, flash: F32, why: dict[str, str]
-) -> Bool:
-    """With one frequency: everywhere if the amplitudes are those of surfaces, else nowhere."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        albedo = (np.abs(phasors.values[0]) * range_m**2 / flash)[usable]
-    typical = float(np.median(albedo)) if albedo.size else 0.0
-    right = LEAST_ALBEDO < typical < WHITE
-    why[MODELS[BOUNCED]] = f"one frequency; the median albedo {typical:.2f} is " + (
-        "that of a surface" if right else "not that of a surface, so amplitudes say nothing"
-    )
-    return np.full(usable.shape, right)
-
-
 def _two(
     left: Phasors, rivals: _Rivals, usable: Bool, choice: _Choice, flash: F32, why: dict[str, str]
 ) -> _Choice:
@@ -237,7 +216,7 @@ def _two(
     tried = rivals.two(Phasors(left.values, left.sigma, asked))
     own_dof = 2 * rivals.k.size - 4
     misfit, _ = pooled(np.asarray(tried.info["chi2"]), asked, own_dof)
-    two = asked & (np.asarray(tried.info["returns"]) > 1) & (misfit < 1 + TWO_LEFT * (need - 1))
+    two = asked & (np.asarray(tried.info["returns"]) > 1) & (misfit < TWO_LEFT)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         amplitude = np.asarray(tried.info["amplitudes"])[0]
         two &= amplitude * tried.range_m**2 / flash < WHITE
@@ -274,7 +253,7 @@ def _answer(
     left, count = pooled(choice.chi2, usable, dof)
     # Residuals beyond noise widen sigma by their root (Birge's ratio).
     beyond = left > 1 + 3 * np.sqrt(2 / dof / np.maximum(count, 1))
-    birge = np.where(beyond, np.sqrt(left), 1)
+    birge = np.where(beyond, np.sqrt(np.maximum(left, 1)), 1)
     spread = np.hypot(choice.sigma_m * birge, choice.doubt_m)
     counts = np.bincount(choice.model[usable].astype(np.int64), minlength=len(MODELS))
     return DepthMap(

@@ -15,6 +15,7 @@ from toftools.correct import refuse_emitter_offset, warm_up
 from toftools.correct._interreflection import Recipe, freed
 from toftools.correct._scene import Optics, Surface, optics, patches, radiosity
 from toftools.correct._wraps import plan
+from toftools.registry import CORRECTIONS, find
 from toftools.types import C64, DepthMap, Phasors, Sensor
 
 
@@ -66,6 +67,7 @@ def checked(
     max_range_m: float,
     method: str,
     stride_px: int = 1,
+    start: str = "",
 ) -> Recipe:
     """A recipe from the parameters of a method, refused if one is out of range."""
     if iterations < 1:
@@ -75,7 +77,8 @@ def checked(
         msg = f"albedo_gain must be positive, or 0 to fit it, got {albedo_gain}"
         raise ValueError(msg)
     walk = plan(sensor, max_range_m, least_freqs=1, method=method)
-    return Recipe(walk, irradiance, int(iterations), float(albedo_gain), stride_px)
+    run = find(CORRECTIONS, start).build(sensor, max_range_m=max_range_m) if start else None
+    return Recipe(walk, irradiance, int(iterations), float(albedo_gain), stride_px, run)
 
 
 def all_pairs(view: Optics, seen: Surface, values: C64) -> C64:
