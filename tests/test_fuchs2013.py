@@ -39,6 +39,12 @@ def test_classes_are_found_and_no_more(truth):
     assert found == pytest.approx(truth, rel=0.02)
 
 
+def test_a_noisy_material_is_one():
+    noise = 0.15 * np.random.default_rng(6).standard_normal((50, 60))
+    albedo = (0.5 * np.exp(noise)).astype(np.float32)
+    assert classes(albedo, np.ones(albedo.shape, bool), 5) == pytest.approx([0.5], rel=0.02)
+
+
 def test_the_split_is_that_of_an_exhaustive_search():
     from itertools import combinations
 
@@ -87,6 +93,12 @@ def test_a_corner_is_straightened(text, albedos):
     assert depth.info["albedos"] == pytest.approx(sorted(set(albedos)), rel=0.01)
     assert np.allclose(depth.info["albedos"][depth.info["labels"]], albedo, rtol=0.01)
     assert not depth.info["fallback"].any()
+
+
+def test_iterated_it_ends_at_the_truth():
+    camera, range_m, _, light = frame_of(TWO, (0.6, 0.6))
+    run = fuchs2013(camera, tol_mm=0.01, iterations=12, albedos=(0.6,))
+    assert np.median(np.abs(run(Phasors(light)).range_m - range_m)) < 2e-5
 
 
 def test_given_albedos_need_no_scale_of_the_amplitudes():

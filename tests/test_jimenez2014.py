@@ -84,6 +84,17 @@ def test_the_first_round_is_more_than_a_step():
     assert left.mean() < 0.25 * np.abs(here.range_m - range_m.ravel()).mean()
 
 
+def test_no_light_is_lost_at_creases_and_in_noise():
+    camera, range_m, light = frame_of(TWO)
+    view = optics(camera)
+    noisy = range_m * (1 + 0.03 * np.random.default_rng(2).standard_normal(range_m.shape))
+    for range_now, count in ((range_m, 30), (noisy, 100)):
+        seen = surface(view, range_now)
+        here = place(view, seen, light, None, range_m > 0, count=count)
+        assert here.range_m.size > count / 2
+        assert here.patches.area_m2.sum() > 0.995 * seen.area_m2[seen.flat].sum()
+
+
 def test_sigma_is_honest():
     camera, range_m, light = frame_of(ONE, (0.2, 0.2))
     run, errors = jimenez2014(camera, nodes=200), []

@@ -1,14 +1,15 @@
 """Materials of a frame: few albedos, each over connected regions, from brightness alone.
 
 The logarithm of the albedo is split into classes of least squares by dynamic programming over its
-histogram (exact in one dimension), classes that do not stand apart are joined, and labels become
-coherent by the mean field of a Potts model. References: W. D. Fisher, "On grouping for maximum
-homogeneity", JASA 53 (1958) 789-798, for the split; J. Besag, "On the statistical analysis of
-dirty pictures", J. Royal Statistical Society B 48 (1986) 259-302, for the model (his iterated
-modes depend on the order of the pixels, the mean field does not). Inputs: an albedo image, noisy.
-Fails on textures finer than a few pixels and on albedos that change slowly: there are no classes.
+histogram (exact in one dimension), as many as stand apart, and labels become coherent by the mean
+field of a Potts model. References: W. D. Fisher, "On grouping for maximum homogeneity", JASA 53
+(1958) 789-798, for the split; J. Besag, "On the statistical analysis of dirty pictures", J. Royal
+Statistical Society B 48 (1986) 259-302, for the model (his iterated modes depend on the order of
+the pixels, the mean field does not). Inputs: an albedo image, noisy. Fails on textures finer than a
+few pixels and on albedos that change slowly: there are no classes.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -61,46 +62,41 @@ def classes(albedo: F32, usable: Bool, count: int) -> F64:
     edges = low + BIN * np.arange(max(int(np.ceil((high - low) / BIN)), 1) + 1)
     weight, _ = np.histogram(inside, edges)
     middle = (edges[:-1] + edges[1:]) / 2
-    cuts = _split(weight.astype(np.float64), middle, min(count, middle.size))
-    cuts = _joined(weight, middle, cuts)
+    for cuts in _splits(weight.astype(np.float64), middle, min(count, middle.size)):
+        if _stand_apart(weight, middle, cuts):
+            break
     groups = np.split(np.sort(inside), np.searchsorted(np.sort(inside), edges[cuts[1:-1]]))
     return np.exp([np.median(group) for group in groups if group.size])
 
 
-def _split(weight: F64, middle: F64, count: int) -> list[int]:
-    """Bins where classes of least squares begin, and the end: Fisher's recursion."""
+def _splits(weight: F64, middle: F64, count: int) -> Iterator[list[int]]:
+    """Bins where classes of least squares begin, and the end: Fisher's recursion, count to one."""
     sums = [np.concatenate([[0.0], np.cumsum(weight * middle**p)]) for p in range(3)]
     n, s, q = (a[None, :] - a[:, None] for a in sums)  # [i, j]: bins i..j-1
     with np.errstate(divide="ignore", invalid="ignore"):
         cost = np.where(n > 0, q - s * s / n, 0.0)
-    size = weight.size + 1
-    cost[np.tril_indices(size, -1)] = np.inf
+    cost[np.tril_indices(weight.size + 1, -1)] = np.inf
     best, origin = cost[0], []
     for _ in range(count - 1):
         total = best[:, None] + cost
         origin.append(np.argmin(total, axis=0))
         best = np.min(total, axis=0)
-    cuts = [weight.size]
-    for back in reversed(origin):
-        cuts.append(int(back[cuts[-1]]))
-    return sorted({0, *cuts})
+    for classes_left in range(count, 0, -1):
+        cuts = [weight.size]
+        for back in reversed(origin[: classes_left - 1]):
+            cuts.append(int(back[cuts[-1]]))
+        yield sorted({0, *cuts})
 
 
-def _joined(weight: NDArray[np.integer], middle: F64, cuts: list[int]) -> list[int]:
-    """Cuts left when classes that do not stand apart are joined, the closest pair first."""
-    cuts = list(cuts)
-    while len(cuts) > 2:
-        mean, spread = np.empty(len(cuts) - 1), np.empty(len(cuts) - 1)
-        for c, (a, b) in enumerate(pairwise(cuts)):
-            total = max(int(weight[a:b].sum()), 1)
-            mean[c] = weight[a:b] @ middle[a:b] / total
-            spread[c] = np.sqrt(weight[a:b] @ (middle[a:b] - mean[c]) ** 2 / total)
-        needed = np.maximum(APART * (spread[1:] + spread[:-1]) / 2, LEAST_GAP)
-        gap = np.diff(mean) / needed
-        if gap.min() >= 1:
-            break
-        cuts.pop(int(np.argmin(gap)) + 1)
-    return cuts
+def _stand_apart(weight: NDArray[np.integer], middle: F64, cuts: list[int]) -> bool:
+    """Whether every two neighbouring classes are two."""
+    mean, spread = np.empty(len(cuts) - 1), np.empty(len(cuts) - 1)
+    for c, (a, b) in enumerate(pairwise(cuts)):
+        total = max(int(weight[a:b].sum()), 1)
+        mean[c] = weight[a:b] @ middle[a:b] / total
+        spread[c] = np.sqrt(weight[a:b] @ (middle[a:b] - mean[c]) ** 2 / total)
+    needed = np.maximum(APART * (spread[1:] + spread[:-1]) / 2, LEAST_GAP)
+    return bool((np.diff(mean) >= needed).all())
 
 
 def labelled(albedo: F32, usable: Bool, albedos: F64) -> Labels:

@@ -30,7 +30,7 @@ beside the 6 mm of the pixels: there albedo cancels, and what is left are the no
 that of `fuchs2010`, too large in small frames of bright walls (error over sigma 0.7). First set
 of captures (48 x 64, 40/70 MHz, noise of the sensor), mean absolute error before and after: corner
 57 -> 13 mm, V of 60 degrees 36 -> 7, V of 90 16 -> 6, rooms 61 -> 48, 52 -> 37 and 29 -> 18,
-prisms 47 -> 13 and 49 -> 37 mm; medians of Cornell boxes 77 -> 62 and 59 -> 55 mm (their means,
+prisms 47 -> 14 and 49 -> 37 mm; medians of Cornell boxes 77 -> 62 and 59 -> 55 mm (their means,
 0.7 m, are wrong turns). Su frames 1-3 (`albedo_gain` 0, medians): 45 -> 33, 23 -> 10, 65 -> 47 mm.
 """
 
