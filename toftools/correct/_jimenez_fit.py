@@ -116,8 +116,9 @@ def _gain_of(here: Nodes, freqs_hz: F64) -> float:
     turn = np.exp(-1j * path_to_phase(here.range_m, freqs_hz[:, None]))
     ratio = (arrived * turn / np.maximum(here.flash, 1e-9)).astype(np.complex64)
     shown = (sent / turn).astype(np.complex64)  # as the camera sees them
-    parts = (shown, ratio, here.flash.astype(np.float32))
-    return fitted_gain(*(a[:, None] for a in parts), here.range_m[None], freqs_hz)
+    flash = here.flash[:, None].astype(np.float32)
+    range_m = here.range_m[None].astype(np.float32)
+    return fitted_gain(shown[:, None], ratio[:, None], flash, range_m, freqs_hz)
 
 
 def moved(here: Nodes, x_m: F64) -> Patches:

@@ -104,8 +104,9 @@ def place(
         mine.append(total + which[alike])
         total += found.size
         left = left[~alike]
-    parts = (np.concatenate(a) for a in (chosen, members, mine))
-    return _collected(view, seen, values, sigma, *parts, _pairs(grid.reshape(rows)))
+    all_chosen, all_members, all_mine = (np.concatenate(a) for a in (chosen, members, mine))
+    pairs = _pairs(grid.reshape(rows))
+    return _collected(view, seen, values, sigma, all_chosen, all_members, all_mine, pairs)
 
 
 def _alike(seen: Surface, pixels: NDArray[np.intp], own: NDArray[np.intp], block: int) -> Bool:
@@ -124,7 +125,7 @@ def _collected(
 ) -> Nodes:  # fmt: skip
     """Sums over the pixels `members` of the nodes `mine`."""
     n_freqs, count = view.freqs_hz.size, chosen.size
-    where = np.unravel_index(chosen, seen.known.shape)
+    row, column = np.unravel_index(chosen, seen.known.shape)
     range_m = np.sqrt(np.sum(seen.position.astype(np.float64) ** 2, axis=0))
     way = range_m.flat[members]
     n = np.maximum(np.bincount(mine, minlength=count), 1)
@@ -138,17 +139,17 @@ def _collected(
             noise[f] = np.sqrt(np.bincount(mine, power, count)) / n
     area = np.bincount(mine, seen.area_m2.flat[members], count)
     one = np.zeros(seen.known.shape, bool)
-    one[where] = True
+    one[row, column] = True
     order = np.argsort(np.argsort(chosen))  # `patches` keeps the order of the image
     here = patches(seen, one)
     placed = Patches(here.position[:, order], here.normal[:, order], area.astype(np.float32))
     return Nodes(
         placed,
-        np.asarray(view.rays[(slice(None), *where)]),
-        range_m[where],
+        np.asarray(view.rays[:, row, column]),
+        range_m[row, column],
         light,
         noise,
-        lit(view, seen)[(slice(None), *where)].astype(np.float64),
+        lit(view, seen)[:, row, column].astype(np.float64),
         pairs,
     )
 

@@ -99,8 +99,8 @@ def fitted(
         amplitudes,
     )
     return answer(
-        ranges_m.reshape(-1, *shape),
-        amplitudes.reshape(-1, *shape),
+        ranges_m.reshape(-1, *shape).astype(np.float64),
+        amplitudes.reshape(-1, *shape).astype(np.float64),
         usable,
         sigma_m=sigma_m.reshape(shape) if known else None,
     )
