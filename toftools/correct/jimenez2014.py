@@ -15,7 +15,7 @@ correction instead of the surface, the last step at full resolution, and the ret
 answer where the result is not credible (`fuchs2010`).
 
 Input: as for `fuchs2010`, one frequency upwards. Time: 1.8 s of one core a frame of 320 x 240 at
-two frequencies (1200 nodes, 30 steps), where the paper has minutes; about 400 bytes a pixel. Fails
+two frequencies (1200 nodes, 30 steps), where the paper has minutes; about 300 bytes a pixel. Fails
 as `fuchs2010` does: light from surfaces out of view, wrong turns at the start (another minimum),
 mirrors; and where objects are smaller than a node. Its optimum solves the equations that the
 iteration of `fuchs2010` solves: it is no more exact where that one has converged. Mean absolute
