@@ -18,7 +18,7 @@ from toftools.units import TWO_PI
 
 MOST = 50.0
 """A pixel's chi^2 per degree of freedom counts as no more: no outlier speaks for a window."""
-FRAME_SHARE = 0.25
+FRAME_SHARE = 0.15
 """Share of a frame's excess residual that a model must explain to be believed."""
 WINDOW_SHARE = 0.3
 """The same for a window of a frame that is not convinced as a whole."""
@@ -141,7 +141,7 @@ def noise_of(phasors: Phasors, range_m: F32, k: F64) -> F32:
     return np.asarray(max(share, LEAST_NOISE) * np.abs(phasors.values), np.float32)
 
 
-def pooled(chi2: F32, valid: Bool, dof: int) -> tuple[F32, F32]:
+def pooled(chi2: F32, valid: Bool, dof: int, *, most: float = MOST) -> tuple[F32, F32]:
     """Mean residual per degree of freedom in a window, and how many pixels spoke.
 
     The window's side is an eighth of the shorter side of the image, at least 9 px.
@@ -154,6 +154,8 @@ def pooled(chi2: F32, valid: Bool, dof: int) -> tuple[F32, F32]:
         Pixels that count.
     dof : int
         Degrees of freedom of a pixel.
+    most : float
+        A pixel counts as no more.
 
     Returns
     -------
@@ -164,14 +166,14 @@ def pooled(chi2: F32, valid: Bool, dof: int) -> tuple[F32, F32]:
 
     side = max(9, 2 * (min(valid.shape) // 16) + 1)
     size = (side, side)
-    capped = np.where(valid, np.minimum(chi2 / np.float32(dof), np.float32(MOST)), 0)
+    capped = np.where(valid, np.minimum(chi2 / np.float32(dof), np.float32(most)), 0)
     border = cv2.BORDER_CONSTANT
     total = cv2.boxFilter(capped.astype(np.float32), -1, size, normalize=False, borderType=border)
     count = cv2.boxFilter(valid.astype(np.float32), -1, size, normalize=False, borderType=border)
     return np.asarray(total / np.maximum(count, 1)), np.asarray(count)
 
 
-def frame_mean(chi2: F32, valid: Bool, dof: int) -> tuple[float, float]:
+def frame_mean(chi2: F32, valid: Bool, dof: int, *, most: float = MOST) -> tuple[float, float]:
     """Mean residual per degree of freedom of a whole frame, and its standard error under noise.
 
     Parameters
@@ -182,6 +184,8 @@ def frame_mean(chi2: F32, valid: Bool, dof: int) -> tuple[float, float]:
         Pixels that count.
     dof : int
         Degrees of freedom of a pixel.
+    most : float
+        A pixel counts as no more.
 
     Returns
     -------
@@ -189,7 +193,7 @@ def frame_mean(chi2: F32, valid: Bool, dof: int) -> tuple[float, float]:
         1 is what noise alone would leave.
     """
     count = max(int(valid.sum()), 1)
-    capped = np.minimum(chi2[valid] / np.float32(dof), np.float32(MOST))
+    capped = np.minimum(chi2[valid] / np.float32(dof), np.float32(most))
     return float(capped.sum() / count), float(np.sqrt(2 / dof / count))
 
 
@@ -213,11 +217,14 @@ def explains_more(before: F32, after: F32, usable: Bool, dof: int) -> tuple[Bool
     reason : str
         The frame's figures as a sentence.
     """
-    old, count = pooled(before, usable, dof)
-    new, _ = pooled(after, usable, dof)
+    # Where all of a frame is far from the model, more than outliers lies beyond `MOST`.
+    typical = float(np.median(before[usable])) / dof if usable.any() else 0.0
+    most = max(MOST, 3 * typical)
+    old, count = pooled(before, usable, dof, most=most)
+    new, _ = pooled(after, usable, dof, most=most)
     error = np.sqrt(2 / dof / np.maximum(count, 1))
-    whole, whole_error = frame_mean(before, usable, dof)
-    fallen = whole - frame_mean(after, usable, dof)[0]
+    whole, whole_error = frame_mean(before, usable, dof, most=most)
+    fallen = whole - frame_mean(after, usable, dof, most=most)[0]
     reason = f"mean residual {whole:.2f} falls to {whole - fallen:.2f}, where noise leaves 1"
     if fallen > max(4 * whole_error, FRAME_SHARE * (whole - 1)):
         return np.asarray(new < old + 2 * error), reason

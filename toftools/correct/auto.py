@@ -82,7 +82,7 @@ def auto(
         Any; with one frequency only bounced light can be told, by its energy.
     bounced : str
         Correction for bounced light, as ``name[:key=val,...]`` or ``module:function``: one that
-        gives ``info["indirect"]``; empty for `fuchs2010` from the ranges of one return.
+        gives ``info["indirect"]``; empty for `fuchs2010`.
     learned : str
         A learned correction, the same way; empty for none.
     max_range_m : float
@@ -117,12 +117,12 @@ def auto(
     refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     name = "semi_global" if freqs.size > 1 else "crt"
-    own = f"fuchs2010:start={name}"
+    own = "fuchs2010"
     fitted = freqs.size > 1 and not bounced
     rivals = _Rivals(
         CORRECTIONS[name].build(sensor, max_range_m=max_range_m),
         find(CORRECTIONS, bounced or own).build(sensor),
-        find(CORRECTIONS, f"{own},albedo_gain=0").build(sensor) if fitted else None,
+        find(CORRECTIONS, f"{own}:albedo_gain=0").build(sensor) if fitted else None,
         None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor),
         find(CORRECTIONS, learned).build(sensor) if learned else None,
         range_to_phase(1.0, freqs),
@@ -268,7 +268,7 @@ def _answer(
             "residual": left,
             "why": dict(why),
             "shares": {
-                m: int(n) / max(usable.sum(), 1) for m, n in zip(MODELS, counts, strict=True)
+                m: int(n) / max(int(usable.sum()), 1) for m, n in zip(MODELS, counts, strict=True)
             },
         },
     )

@@ -20,7 +20,12 @@ from toftools.types import C64, DepthMap, Phasors, Sensor
 
 
 def fuchs2010_all_pairs(
-    sensor: Sensor, *, iterations: int = 3, albedo_gain: float = 1.0, max_range_m: float = 0.0
+    sensor: Sensor,
+    *,
+    iterations: int = 3,
+    albedo_gain: float = 1.0,
+    max_range_m: float = 0.0,
+    start: str = "semi_global",
 ) -> Callable[[Phasors], DepthMap]:
     """Range without diffuse interreflection, all pixels lighting all pixels.
 
@@ -28,7 +33,7 @@ def fuchs2010_all_pairs(
     ----------
     sensor : Sensor
         As for `fuchs2010`.
-    iterations, albedo_gain, max_range_m
+    iterations, albedo_gain, max_range_m, start
         As for `fuchs2010`.
 
     Returns
@@ -46,7 +51,8 @@ def fuchs2010_all_pairs(
     S. Fuchs, "Multipath interference compensation in time-of-flight camera images", ICPR 2010.
     """
     refuse_emitter_offset(sensor)
-    recipe = checked(sensor, all_pairs, iterations, albedo_gain, max_range_m, "fuchs2010_all_pairs")
+    name = "fuchs2010_all_pairs"
+    recipe = checked(sensor, all_pairs, iterations, albedo_gain, max_range_m, name, start=start)
     own = optics(sensor)
 
     def run(phasors: Phasors) -> DepthMap:
@@ -77,7 +83,10 @@ def checked(
         msg = f"albedo_gain must be positive, or 0 to fit it, got {albedo_gain}"
         raise ValueError(msg)
     walk = plan(sensor, max_range_m, least_freqs=1, method=method)
-    run = find(CORRECTIONS, start).build(sensor, max_range_m=max_range_m) if start else None
+    several = sensor.modulation.n_freqs > 1
+    run = None
+    if start and several:
+        run = find(CORRECTIONS, start).build(sensor, max_range_m=max_range_m)
     return Recipe(walk, irradiance, int(iterations), float(albedo_gain), stride_px, run)
 
 
