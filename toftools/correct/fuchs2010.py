@@ -23,8 +23,8 @@ albedo of 0.5, and too small by 1.3 to 1.8 at 0.8, where noise of the geometry c
 the transport. Mean absolute error before and after, first set of captures (48 x 64, 40/70 MHz,
 noise of the sensor): corner 57 -> 13 mm, V of 60 degrees 36 -> 8, of 90 degrees 16 -> 6, rooms
 61 -> 23, 52 -> 25 and 29 -> 15, prisms 49 -> 35 and 47 -> 14, Cornell boxes 717 -> 67 and
-735 -> 93 mm (wrong turns, which `semi_global` rights before it starts). `plates`, lit from out of view,
-stay as they are.
+735 -> 93 mm (wrong turns, which `semi_global` rights before it starts). `plates`, lit from out of
+view, stay as they are.
 """
 
 from collections.abc import Callable

@@ -131,7 +131,9 @@ def fuchs2013(
         msg = f"tol_mm must be a positive number of millimetres, got {tol_mm}"
         raise ValueError(msg)
     known = _materials(segments, albedos, labels, sensor.camera.shape, 1e-3 * tol_mm)
-    usual = checked(sensor, all_pairs, iterations, albedo_gain, max_range_m, "fuchs2013")
+    usual = checked(
+        sensor, all_pairs, iterations, albedo_gain, max_range_m, "fuchs2013", start="semi_global"
+    )
     own = optics(sensor)
 
     def run(phasors: Phasors) -> DepthMap:

@@ -92,7 +92,9 @@ def jimenez2014(
         )
         raise ValueError(msg)
     refuse_emitter_offset(sensor)
-    usual = checked(sensor, all_pairs, ROUNDS, albedo_gain, max_range_m, "jimenez2014")
+    usual = checked(
+        sensor, all_pairs, ROUNDS, albedo_gain, max_range_m, "jimenez2014", start="semi_global"
+    )
     own = optics(sensor)
 
     def run(phasors: Phasors) -> DepthMap:
