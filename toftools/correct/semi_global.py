@@ -228,8 +228,9 @@ def aggregate(range_m: F32, cost: F32, valid: Bool, jump: float) -> F32:
     total = np.zeros_like(own)
     # Rows first, and pixels of a row together: columns are the rows of the transposed image.
     for axes, ways in (((1, 0, 2), ((1, 0), (1, 1), (1, -1))), ((2, 0, 1), ((1, 0),))):
-        rows, costs = (np.ascontiguousarray(a.transpose(axes)) for a in (ranges, own))
-        mask = np.ascontiguousarray(valid if axes[0] == 1 else valid.T)
+        # Copies, always: a read-only view of one pixel would be another flavour to the compiler.
+        rows, costs = (a.transpose(axes).copy(order="C") for a in (ranges, own))
+        mask = (valid if axes[0] == 1 else valid.T).copy(order="C")
         summed = np.zeros_like(costs)
         for dy, dx in ways:
             for sign in (dy, -dy):

@@ -151,7 +151,7 @@ def _scaled(phasors: Phasors, gain: F64) -> tuple[F64, F64]:
         # Without NaN, and small enough to be squared: a weight of zero all the same.
         known = phasors.sigma.reshape(flat.shape).astype(np.float64) * gain[:, None]
         sigma = np.nan_to_num(known, posinf=WIDEST)
-    return z, sigma
+    return np.ascontiguousarray(z), np.ascontiguousarray(sigma)
 
 
 def _one_return(z: F64, sigma: F64, range_m: F64, k: F64, share: float) -> tuple[F64, F64]:
