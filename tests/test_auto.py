@@ -120,6 +120,19 @@ def test_info_names_the_model_of_every_pixel():
     assert sum(info["shares"].values()) == pytest.approx(1)
 
 
+def test_a_learned_method_for_one_frequency_is_refused():
+    with pytest.raises(ValueError, match="got one frequency; use it alone"):
+        auto(sensor("deeptof"), learned="test_auto:oracle")
+
+
+@pytest.mark.parametrize("name", ["opt8241", "kinect2_nominal"])
+def test_no_model_answers_beyond_the_limit(name):
+    device = sensor(f"{name}:width=48,height=36")
+    capture = made("two_returns", {"range": 3.0, "extra": 2.0, "ratio": 0.5}, device)
+    ours, _ = both(capture, max_range_m=4.0)
+    assert np.nanmax(ours.range_m) <= 4.1  # the last fit may move a range at the limit by noise
+
+
 def test_unknown_methods_are_refused():
     with pytest.raises(ValueError, match="unknown name 'nope'"):
         auto(sensor("opt8241"), bounced="nope")

@@ -98,7 +98,8 @@ def auto(
     Raises
     ------
     ValueError
-        If a named method is unknown or a parameter wrong, or the emitter is not at the camera.
+        If a named method is unknown or a parameter wrong, a learned one is named for one
+        frequency, or the emitter is not at the camera.
 
     References
     ----------
@@ -117,13 +118,19 @@ def auto(
     refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     name = "semi_global" if freqs.size > 1 else "crt"
-    own = "fuchs2010"
+    if learned and freqs.size == 1:
+        msg = (
+            f"auto cannot tell where learned={learned!r} is needed, got one frequency; use it alone"
+        )
+        raise ValueError(msg)
+    fuchs = CORRECTIONS["fuchs2010"]
+    limit = {"max_range_m": max_range_m}
     fitted = freqs.size > 1 and not bounced
     rivals = _Rivals(
-        CORRECTIONS[name].build(sensor, max_range_m=max_range_m),
-        find(CORRECTIONS, bounced or own).build(sensor),
-        find(CORRECTIONS, f"{own}:albedo_gain=0").build(sensor) if fitted else None,
-        None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor),
+        CORRECTIONS[name].build(sensor, **limit),
+        find(CORRECTIONS, bounced).build(sensor) if bounced else fuchs.build(sensor, **limit),
+        fuchs.build(sensor, albedo_gain=0.0, **limit) if fitted else None,
+        None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor, **limit),
         find(CORRECTIONS, learned).build(sensor) if learned else None,
         range_to_phase(1.0, freqs),
     )
@@ -168,14 +175,15 @@ def _bounced(
         albedos = (np.abs(phasors.values).mean(axis=0) * choice.range_m**2 / flash)[usable]
     albedo = float(np.median(albedos)) if albedos.size else 0.0
     lit = LEAST_ALBEDO < albedo < WHITE
-    tried = (rivals.bounced if lit or rivals.fitted is None else rivals.fitted)(phasors)
+    method = rivals.bounced if lit or rivals.fitted is None else rivals.fitted
+    tried = method(phasors)
     removed = np.asarray(tried.info["indirect"])
     direct = np.where(usable, phasors.values - removed, phasors.values)
     freed = explained(direct, noise, choice.range_m, rivals.k, usable)
     touched = usable & (removed != 0).any(axis=0)
     if rivals.k.size > 1:
         believed, reason = explains_more(choice.chi2, freed.chi2, usable, rivals.k.size - 1)
-        why[MODELS[BOUNCED]] = reason + ("" if lit else ", its strength fitted")
+        why[MODELS[BOUNCED]] = reason + (", its strength fitted" if method is rivals.fitted else "")
     else:
         believed = np.full(usable.shape, lit)
         why[MODELS[BOUNCED]] = f"one frequency; the median albedo {albedo:.2f} is " + (
