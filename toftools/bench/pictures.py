@@ -17,6 +17,7 @@ from toftools.viz.cloud import cloud_png
 from toftools.viz.figures import maps_png
 from toftools.viz.models import models_png
 
+MOST_LETTERS = 42  # above a map: a longer label would run into the next one
 MAX_MAPS = 7  # beside the truth: two rows of four
 
 
@@ -85,7 +86,9 @@ def capture_pictures(
     answers = [(row, _answer(out, row)) for row in chosen]
     for row, answer in answers:
         if answer is not None:
-            title = f"{label_of(row)}\nMAE {100 * row['metrics']['mae_m']:.2f} cm"
+            label = label_of(row)
+            short = label if len(label) <= MOST_LETTERS else f"{label[: MOST_LETTERS - 1]}…"
+            title = f"{short}\nMAE {100 * row['metrics']['mae_m']:.2f} cm"
             panels.append((title, answer.range_m - truth.range_m, "error"))
     pictures = {"maps": maps_png(panels, limits={"error": (None, limit)})}
     for row, answer in answers:
