@@ -1,0 +1,1 @@
+"""Calibration: one stage per file, fitted from captures, applied as a chain."""
