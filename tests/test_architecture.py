@@ -17,7 +17,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LAYERS = [
     "units", "_arrays", "electronics", "device", "types", "tap_noise", "phasor", "crlb", "camera",
     "transient", "_params", "conditions", "registry", "chain", "_overrides", "sensors", "_native",
-    "_transfer", "io", "sim", "calib", "correct",
+    "_turns", "_transfer", "io", "sim", "calib", "correct",
     "filter", "metrics", "viz", "bench", "cli", "__main__",
 ]  # fmt: skip
 # _overrides reads waveforms by name and sits below sim for that one function-level import.

@@ -8,7 +8,7 @@ import pytest
 import reference_unwrapping as reference
 from reference_unwrapping import planted
 
-from toftools.correct._turns import turns
+from toftools._turns import turns
 from toftools.correct._wraps import plan, search
 from toftools.correct.crt import crt
 from toftools.correct.kde import kde

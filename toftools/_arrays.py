@@ -49,3 +49,21 @@ def valid_mask(valid: ArrayLike | None, shape: tuple[int, int]) -> Bool:
 def set_fields(owner: object, **values: object) -> None:
     for name, value in values.items():
         object.__setattr__(owner, name, value)
+
+
+def kernel_input(array: NDArray[Any]) -> NDArray[Any]:
+    """The array as kernels get it, contiguous and read-only: another flavour compiles them anew.
+
+    Parameters
+    ----------
+    array : ndarray
+        Any array.
+
+    Returns
+    -------
+    ndarray
+        A read-only view, of a copy where `array` is not contiguous.
+    """
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view

@@ -5,11 +5,10 @@ array of the codes below.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from toftools._arrays import kernel_input as kernel_input
 from toftools.types import DepthMap, Phasors, Sensor
 
 OK = 0
@@ -40,24 +39,6 @@ def refuse_emitter_offset(sensor: Sensor) -> None:
             "the error"
         )
         raise ValueError(msg)
-
-
-def kernel_input(array: NDArray[Any]) -> NDArray[Any]:
-    """The array as kernels get it, contiguous and read-only: another flavour compiles them anew.
-
-    Parameters
-    ----------
-    array : ndarray
-        Any array.
-
-    Returns
-    -------
-    ndarray
-        A read-only view, of a copy where `array` is not contiguous.
-    """
-    view = np.ascontiguousarray(array).view()
-    view.flags.writeable = False
-    return view
 
 
 def warm_up(run: Callable[[Phasors], DepthMap], n_freqs: int) -> None:

@@ -20,11 +20,11 @@ import numpy as np
 from numba import njit, prange
 
 from toftools._transfer import sincos
+from toftools._turns import FAST
 from toftools.correct import INVALID, OK, kernel_input
 from toftools.correct._albedo_gain import fitted_gain
 from toftools.correct._evidence import explained
 from toftools.correct._scene import Optics, Surface, lit, surface
-from toftools.correct._turns import FAST
 from toftools.correct._wraps import Candidates, Plan, search
 from toftools.types import C64, F32, Bool, DepthMap, Phasors
 from toftools.units import TWO_PI, path_to_phase

@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit, prange
 
 from toftools._transfer import sincos
+from toftools._turns import FAST
 from toftools.correct import kernel_input
 from toftools.correct._scene import Optics, Surface
-from toftools.correct._turns import FAST
 from toftools.types import C64, F32, Bool
 from toftools.units import TWO_PI, path_to_phase
 

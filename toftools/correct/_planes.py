@@ -11,7 +11,7 @@ means (ours). Inputs: rays and ranges. Fails where objects are smaller than a wi
 import numpy as np
 from numba import njit, prange
 
-from toftools.correct._turns import FAST
+from toftools._turns import FAST
 from toftools.types import F32, Bool
 
 LEAST_COS = 0.1

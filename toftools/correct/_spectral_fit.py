@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST
 from toftools.correct._spectral_roots import Complexes
-from toftools.correct._turns import FAST
 from toftools.types import F64
 
 BLOCK = 128

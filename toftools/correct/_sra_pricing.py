@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from toftools._turns import FAST
 from toftools.correct._sra_grid import SIDES, TIE
-from toftools.correct._turns import FAST
 from toftools.types import F64
 from toftools.units import range_to_phase
 

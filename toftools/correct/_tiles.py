@@ -16,8 +16,8 @@ import numpy as np
 from numba import njit
 
 from toftools._transfer import sincos
+from toftools._turns import FAST
 from toftools.correct._patches import AREA, LIGHT, NORMAL, PLACE, SPREAD
-from toftools.correct._turns import FAST
 from toftools.types import F32
 
 FAR = np.float32(3.0)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from toftools.correct._turns import FAST
+from toftools._turns import FAST
 from toftools.correct._wraps import LEAST_NOISE
 from toftools.types import F32, F64, Bool
 

@@ -10,11 +10,11 @@ shadows, which this transport has none of).
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST
 from toftools.correct import kernel_input
 from toftools.correct._patches import LIGHT, merged
 from toftools.correct._scene import Optics, Surface, lit
 from toftools.correct._tiles import MOST, light_on, listed
-from toftools.correct._turns import FAST
 from toftools.types import C64, F32, Bool
 from toftools.units import TWO_PI, path_to_phase
 

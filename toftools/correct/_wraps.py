@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST, turns
 from toftools.correct import kernel_input
-from toftools.correct._turns import FAST, turns
 from toftools.types import F32, F64, Phasors, Sensor
 from toftools.units import ambiguity_m, joint_ambiguity_m, range_to_phase
 

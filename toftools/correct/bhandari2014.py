@@ -27,12 +27,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from toftools._turns import FAST
 from toftools.correct import kernel_input, refuse_emitter_offset
 from toftools.correct._spectral import check_dials, least_returns
 from toftools.correct._spectral_fit import linear_amplitudes
 from toftools.correct._spectral_roots import Complexes
 from toftools.correct._spectral_run import runner
-from toftools.correct._turns import FAST
 from toftools.types import F32, F64, DepthMap, Phasors, Sensor
 from toftools.units import joint_ambiguity_m, range_to_phase
 

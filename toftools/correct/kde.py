@@ -24,8 +24,8 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST
 from toftools.correct import INVALID, OK, REJECTED, refuse_emitter_offset, warm_up
-from toftools.correct._turns import FAST
 from toftools.correct._wraps import Candidates, Plan, plan, search
 from toftools.types import F32, DepthMap, Phasors, Sensor
 

@@ -24,8 +24,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from toftools._turns import FAST, LEAST, turns
 from toftools.correct import INVALID, OK, REJECTED, kernel_input, refuse_emitter_offset, warm_up
-from toftools.correct._turns import FAST, LEAST, turns
 from toftools.correct._wraps import longest_m
 from toftools.types import F32, DepthMap, Phasors, Sensor
 from toftools.units import TWO_PI, ambiguity_m

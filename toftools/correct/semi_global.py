@@ -25,9 +25,9 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST, turns
 from toftools.correct import INVALID, OK, kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._scene import optics
-from toftools.correct._turns import FAST, turns
 from toftools.correct._wraps import Candidates, plan, search
 from toftools.types import C64, F32, Bool, DepthMap, Phasors, Sensor
 from toftools.units import TWO_PI, range_to_phase

@@ -36,8 +36,8 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
+from toftools._turns import FAST
 from toftools.correct import kernel_input
-from toftools.correct._turns import FAST
 from toftools.types import C64, F32, Bool, Phasors, Sensor
 
 LEAST_VARIANCE = 1e-14
