@@ -194,7 +194,7 @@ def load_chain(path: Path | str, *, trusted: Sequence[str] = ()) -> Chain:
             dict(document.get("notes", {})),
         )
     except (ValueError, *ERRORS) as error:
-        detail = " ".join(str(error).strip("\"'").split())[:300] or type(error).__name__
+        detail = " ".join(str(error).strip("\"'").split())[:400] or type(error).__name__
         msg = f"{path.name} is not a readable calibration: {detail}"
         raise ValueError(msg) from error
 
