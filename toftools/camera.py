@@ -3,8 +3,11 @@
 Camera frame: x right, y down, z forward; pixel centres at integer coordinates (OpenCV).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from toftools._lens import fisheye_angle, fisheye_limit, fisheye_radius, pinhole_limit
 from toftools.types import F32, F64, Camera
 
 
@@ -57,7 +60,7 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     K[1, :2] *= sy
     K[0, 2] = (camera.K[0, 2] + 0.5) * sx - 0.5
     K[1, 2] = (camera.K[1, 2] + 0.5) * sy - 0.5
-    return Camera(width, height, K, camera.dist)
+    return replace(camera, width=width, height=height, K=K)
 
 
 def rays(camera: Camera) -> F64:
@@ -72,7 +75,7 @@ def rays(camera: Camera) -> F64:
     -------
     ndarray, (H, W, 3)
         Unit vectors in the camera frame; NaN where the distortion polynomial folds back on
-        itself, so that no ray belongs to the pixel.
+        itself, so that no ray belongs to the pixel. Rays of a fisheye may point backwards (z < 0).
     """
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     return rays_at(camera, u, v)
@@ -93,19 +96,36 @@ def rays_at(camera: Camera, u_px: F64, v_px: F64) -> F64:
     ndarray, (..., 3)
         Unit vectors in the camera frame; NaN where no ray belongs to the point.
     """
+    if camera.model == "fisheye":
+        return _fisheye_rays(camera, u_px, v_px)
     if camera.dist.any():
         x, y = _undistorted(camera, u_px, v_px)
     else:
-        y = (v_px - camera.K[1, 2]) / camera.K[1, 1]
-        x = (u_px - camera.K[0, 2] - camera.K[0, 1] * y) / camera.K[0, 0]
+        x, y = _normalised(camera, u_px, v_px)
     directions = np.stack([x, y, np.ones_like(x)], axis=-1)  # (..., 3)
     return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+def _normalised(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
+    """Image points at focal length 1, distortion left in."""
+    y = (v - camera.K[1, 2]) / camera.K[1, 1]
+    return (u - camera.K[0, 2] - camera.K[0, 1] * y) / camera.K[0, 0], y
+
+
+def _fisheye_rays(camera: Camera, u: F64, v: F64) -> F64:
+    x, y = _normalised(camera, u, v)
+    radius = np.hypot(x, y)
+    theta = fisheye_angle(radius, camera.dist)
+    # sin(theta) / radius goes to 1 on the axis.
+    aside = np.where(radius > 0, np.sin(theta) / np.where(radius > 0, radius, 1.0), 1.0)
+    return np.stack([aside * x, aside * y, np.cos(theta)], axis=-1)
 
 
 def _undistorted(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
     """Normalised image coordinates x / z and y / z of points, distortion taken out."""
     import cv2
 
+    u = u - camera.K[0, 1] * (v - camera.K[1, 2]) / camera.K[1, 1]  # OpenCV knows no skew
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     # OpenCV 5 takes the stop criterion in undistortPoints, 4.x in a function of its own.
@@ -117,6 +137,62 @@ def _undistorted(camera: Camera, u: F64, v: F64) -> tuple[F64, F64]:
     flat = np.where(missed[:, None], np.nan, xy.reshape(-1, 2))
     x, y = np.moveaxis(flat.reshape(*u.shape, 2), -1, 0)
     return x, y
+
+
+def project(camera: Camera, points_m: F32 | F64) -> tuple[F64, F64]:
+    """Where points of space appear in the image: the inverse of `rays_at`.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera, distortion respected.
+    points_m : ndarray, (..., 3)
+        Points in the camera frame, m; only their direction counts.
+
+    Returns
+    -------
+    u_px, v_px : ndarray, (...)
+        Column and row, px, inside the image or not; NaN where the model has no pixel for the
+        direction: behind a pinhole, or beyond the angle at which the distortion turns back.
+
+    Examples
+    --------
+    >>> u_px, v_px = project(pinhole(320, 240, hfov_deg=90), np.array([0.5, 0.0, 1.0]))
+    >>> round(float(u_px), 6), round(float(v_px), 6)
+    (239.5, 119.5)
+    """
+    place = np.asarray(points_m, dtype=np.float64)
+    along = _fisheye_image if camera.model == "fisheye" else _pinhole_image
+    x, y = along(camera, place)
+    K = camera.K
+    return K[0, 0] * x + K[0, 1] * y + K[0, 2], K[1, 1] * y + K[1, 2]
+
+
+def _fisheye_image(camera: Camera, place: F64) -> tuple[F64, F64]:
+    """Image points at focal length 1, fisheye."""
+    aside = np.hypot(place[..., 0], place[..., 1])
+    theta = np.arctan2(aside, place[..., 2])
+    radius = fisheye_radius(theta, camera.dist)
+    off_axis = aside > 0
+    scale = np.where(off_axis, radius / np.where(off_axis, aside, 1.0), 0.0)
+    # Straight ahead the radius is 0; straight behind the direction of the radius is open.
+    seen = (theta <= fisheye_limit(camera.dist)) & (off_axis | (place[..., 2] > 0))
+    scale = np.where(seen, scale, np.nan)
+    return scale * place[..., 0], scale * place[..., 1]
+
+
+def _pinhole_image(camera: Camera, place: F64) -> tuple[F64, F64]:
+    """Image points at focal length 1, pinhole, with the distortion."""
+    ahead = place[..., 2] > 0
+    xy = place[..., :2] / np.where(ahead, place[..., 2], np.nan)[..., None]
+    if camera.dist.any():
+        import cv2
+
+        seen = np.hypot(xy[..., 0], xy[..., 1]) <= pinhole_limit(camera.dist)
+        at = cv2.convertPointsToHomogeneous(np.where(seen[..., None], xy, 0.0).reshape(-1, 1, 2))
+        bent = cv2.projectPoints(at, np.zeros(3), np.zeros(3), np.eye(3), camera.dist)[0]
+        xy = np.where(seen[..., None], np.asarray(bent).reshape(xy.shape), np.nan)
+    return xy[..., 0], xy[..., 1]
 
 
 def range_to_z(camera: Camera, range_m: F32 | F64) -> F32:
@@ -132,7 +208,7 @@ def range_to_z(camera: Camera, range_m: F32 | F64) -> F32:
     Returns
     -------
     ndarray, (H, W), float32
-        Distance along the optical axis, m.
+        Distance along the optical axis, m; not positive where a fisheye looks sideways or back.
     """
     return np.asarray(range_m * rays(camera)[..., 2], dtype=np.float32)
 
@@ -150,9 +226,13 @@ def z_to_range(camera: Camera, z_m: F32 | F64) -> F32:
     Returns
     -------
     ndarray, (H, W), float32
-        Radial range, m.
+        Radial range, m; NaN where the ray of a fisheye never reaches that z.
     """
-    return np.asarray(z_m / rays(camera)[..., 2], dtype=np.float32)
+    forward = rays(camera)[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        range_m = np.asarray(z_m / forward, dtype=np.float32)
+    reached = (forward > 0) | ((range_m > 0) & np.isfinite(range_m))
+    return np.asarray(np.where(reached, range_m, np.float32(np.nan)))
 
 
 def points(camera: Camera, range_m: F32 | F64) -> F32:

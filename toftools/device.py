@@ -12,10 +12,12 @@ from toftools._arrays import F64, expect_shape, frozen, set_fields
 from toftools.electronics import Defects, Noise, PixelMaps, Timing
 from toftools.units import check_freqs
 
+CAMERA_MODELS = ("pinhole", "fisheye")
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Pinhole camera with OpenCV distortion; pixel centres lie at integer coordinates.
+    """Camera with OpenCV's distortion; pixel centres lie at integer coordinates.
 
     Parameters
     ----------
@@ -24,13 +26,18 @@ class Camera:
     K : ndarray, (3, 3)
         Intrinsic matrix, px.
     dist : ndarray, (n,)
-        Distortion coefficients in OpenCV order, n in {0, 4, 5, 8, 12, 14}; empty for none.
+        Distortion coefficients in OpenCV order, n in {0, 4, 5, 8, 12, 14}; empty for none. A
+        fisheye has exactly 4, k1..k4.
+    model : str
+        ``pinhole`` or ``fisheye``: OpenCV's cv2.fisheye, in which the image radius is a polynomial
+        of the angle from the axis, so that views of 180 degrees and more fit in.
     """
 
     width: int
     height: int
     K: F64
     dist: F64 = field(default_factory=lambda: np.zeros(0))
+    model: str = "pinhole"
 
     def __post_init__(self) -> None:
         if not (0 < int(self.width) <= 65_536 and 0 < int(self.height) <= 65_536):
@@ -45,6 +52,12 @@ class Camera:
         dist.flags.writeable = False
         if dist.size not in (0, 4, 5, 8, 12, 14) or not np.isfinite(dist).all():
             msg = f"dist must hold 0, 4, 5, 8, 12 or 14 finite coefficients, got {dist.tolist()}"
+            raise ValueError(msg)
+        if self.model not in CAMERA_MODELS:
+            msg = f"got the camera model {self.model!r}; wanted {' or '.join(CAMERA_MODELS)}"
+            raise ValueError(msg)
+        if self.model == "fisheye" and dist.size != 4:
+            msg = f"a fisheye has exactly 4 coefficients (zeros for none), got {dist.size}"
             raise ValueError(msg)
         set_fields(self, width=int(self.width), height=int(self.height), K=K, dist=dist)
 

@@ -88,6 +88,8 @@ def capture_digest(capture: Capture) -> str:
     """
     parts: list[Any] = [json.dumps(dict(capture.provenance), default=str)]
     sensor = capture.sensor
+    if sensor.camera.model != "pinhole":
+        parts.append(sensor.camera.model)
     camera, modulation = sensor.camera, sensor.modulation
     arrays: list[NDArray[Any]] = [camera.K, camera.dist, modulation.freqs_hz, modulation.steps_rad]
     for owner in (capture.taps, capture.phasors, capture.depth, capture.truth):

@@ -17,6 +17,9 @@ from toftools.correct._planes import choose, fit
 from toftools.types import C64, F32, F64, Bool, Sensor
 from toftools.units import path_to_phase
 
+LEAST_FORWARD = 0.05
+"""Cosine of the widest ray off the axis for which x / z still makes sense."""
+
 
 @dataclass(frozen=True, eq=False)
 class Optics:
@@ -89,6 +92,13 @@ def optics(sensor: Sensor, shape: tuple[int, int] | None = None) -> Optics:
     if shape is not None and shape != camera.shape:
         camera = resized(camera, shape[1], shape[0])
     way = rays(camera)  # (H, W, 3)
+    if (way[..., 2] < LEAST_FORWARD).any():
+        aside_deg = np.degrees(np.arccos(np.nanmin(way[..., 2])))
+        msg = (
+            f"this camera sees {aside_deg:.0f} degrees off its axis, and corrections that fit "
+            "planes to z reach 87; crop the image to that, or use a method without a scene model"
+        )
+        raise ValueError(msg)
     way = np.where(np.isfinite(way).all(axis=-1, keepdims=True), way, 0.0)
     noise, n_freqs = sensor.noise, sensor.modulation.n_freqs
     signal = np.broadcast_to(noise.contrast, n_freqs) * noise.signal_e * (noise.gain_dn_per_e or 1)

@@ -104,6 +104,9 @@ def flying_pixels(
         )
         raise ValueError(msg)
     forward = rays(sensor.camera)[..., 2].astype(np.float32)
+    if (forward <= 0).any():
+        msg = "flying_pixels compares 1 / z, and this fisheye also looks sideways or back; crop it"
+        raise ValueError(msg)
 
     def run(depth: DepthMap, phasors: Phasors) -> DepthMap:
         if depth.range_m.shape != forward.shape:

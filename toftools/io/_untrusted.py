@@ -94,6 +94,15 @@ def _known(extra: dict[str, Any], name: str, keys: Mapping[str, Any]) -> dict[st
     return checked_params(name, keys, {k: found[k] for k in keys if found.get(k) is not None})
 
 
+def _camera_model(extra: dict[str, Any]) -> str:
+    """The lens model, which files of pinholes do not name."""
+    model = extra.get("camera_model", "pinhole")
+    if not isinstance(model, str):
+        msg = f"camera_model must be a word, got {type(model).__name__}"
+        raise ValueError(msg)
+    return model
+
+
 def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
     """The sensor of a capture file.
 
@@ -131,7 +140,9 @@ def read_sensor(attrs: Any) -> Sensor:  # noqa: ANN401
         raise ValueError(msg)
     dist = attrs.get("dist", np.zeros(0))
     return Sensor(
-        camera=Camera(whole(attrs, "width"), whole(attrs, "height"), attrs["K"], dist),
+        camera=Camera(
+            whole(attrs, "width"), whole(attrs, "height"), attrs["K"], dist, _camera_model(extra)
+        ),
         modulation=Modulation(attrs["freqs_hz"], attrs["steps_rad"], harmonics),
         noise=Noise(**_known(extra, "noise", {**NOISE_KEYS, "codes_dn": (0.0,)})),
         defects=Defects(**_known(extra, "defects", DEFECT_KEYS)),

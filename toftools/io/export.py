@@ -78,7 +78,7 @@ def write_npz(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     Keys, all (H, W): range_m, z_m, sigma_m, confidence (float32, NaN where unknown), status
     (uint8: 0 answered, 1 no usable input, 2 rejected by the method); amplitude where there is
     one; model and models, the map of chosen models and their names, where the method chose; and
-    the camera as K (3, 3) px and dist.
+    the camera as K (3, 3) px and dist (and fisheye, true, where it is one).
     """
     unknown = np.full(depth.range_m.shape, np.nan, np.float32)
     maps: dict[str, Any] = {
@@ -89,6 +89,7 @@ def write_npz(path: Path | str, depth: DepthMap, camera: Camera) -> None:
         "status": _status(depth),
         "K": camera.K,
         "dist": camera.dist,
+        **({} if camera.model == "pinhole" else {"fisheye": np.bool_(True)}),
     }
     if depth.amplitude is not None:
         maps["amplitude"] = depth.amplitude
@@ -128,7 +129,7 @@ def write_png16(path: Path | str, depth: DepthMap, camera: Camera) -> None:
 
     z_m = range_to_z(camera, depth.range_m)
     # np.round(z * 1000) in float64: float32 millimetres are exact only below 16.7 m.
-    millimetres = np.round(np.nan_to_num(z_m.astype(np.float64), nan=0.0) * 1000)
+    millimetres = np.round(np.nan_to_num(z_m.astype(np.float64), nan=0.0) * 1000).clip(min=0)
     if millimetres.max() > 65_535:
         msg = (
             f"z reaches {millimetres.max() / 1000:.3f} m, but 16-bit millimetres end at "

@@ -45,6 +45,7 @@ def summary(capture: Capture, reference_m: F32 | None = None) -> dict[str, Any]:
         "height": camera.height,
         "focal_px": [float(camera.K[0, 0]), float(camera.K[1, 1])],
         "distorted": bool(camera.dist.any()),
+        **({} if camera.model == "pinhole" else {"camera_model": camera.model}),
         "holds": holds(capture),
         "freqs_hz": modulation.freqs_hz.tolist(),
         "ambiguity_m": ambiguity_m(modulation.freqs_hz).tolist(),

@@ -1,7 +1,8 @@
 """Camera intrinsics as text for other tools: Open3D, OpenCV and ROS.
 
 Pixel centres lie at integer coordinates in all three, as here. Open3D stores its matrix by
-columns and no distortion; ROS knows plumb_bob (5) and rational_polynomial (8 coefficients).
+columns and no distortion; ROS knows plumb_bob (5), rational_polynomial (8 coefficients) and, for
+a fisheye, equidistant (4).
 """
 
 import json
@@ -31,8 +32,11 @@ def open3d_json(camera: Camera) -> str:
     Raises
     ------
     ValueError
-        If the camera has distortion, which Open3D cannot hold.
+        If the camera is a fisheye or has distortion, which Open3D cannot hold.
     """
+    if camera.model != "pinhole":
+        msg = f"Open3D intrinsics hold a pinhole, and this camera is a {camera.model}"
+        raise ValueError(f"{msg}; undistort first")
     if camera.dist.any():
         msg = "Open3D intrinsics hold no distortion, and this camera has some; undistort first"
         raise ValueError(msg)
@@ -52,12 +56,14 @@ def opencv_json(camera: Camera) -> str:
     Returns
     -------
     str
-        JSON with image_width, image_height, camera_matrix and distortion_coefficients.
+        JSON with image_width, image_height, camera_model (``pinhole`` or ``fisheye``, for cv2 or
+        cv2.fisheye), camera_matrix and distortion_coefficients.
     """
     dist = camera.dist if camera.dist.size else np.zeros(5)
     node = {
         "image_width": camera.width,
         "image_height": camera.height,
+        "camera_model": camera.model,
         "camera_matrix": _matrix(camera.K),
         "distortion_coefficients": _matrix(dist[None]),
     }
@@ -83,7 +89,8 @@ def ros_yaml(camera: Camera, *, name: str = "tof") -> str:
     Returns
     -------
     str
-        YAML; the model is plumb_bob up to 5 coefficients, else rational_polynomial.
+        YAML; the model is equidistant for a fisheye, plumb_bob up to 5 coefficients, else
+        rational_polynomial.
 
     Raises
     ------
@@ -96,7 +103,7 @@ def ros_yaml(camera: Camera, *, name: str = "tof") -> str:
     if not name.isidentifier() or not name.isascii():
         msg = f"the camera name must be letters, digits and underscores, got {name!r}"
         raise ValueError(msg)
-    count = 5 if camera.dist.size <= 5 else 8
+    model, count = _ros_model(camera)
     dist = np.zeros((1, count))
     dist[0, : camera.dist.size] = camera.dist
     projection = np.hstack([camera.K, np.zeros((3, 1))])
@@ -106,13 +113,20 @@ def ros_yaml(camera: Camera, *, name: str = "tof") -> str:
             f"image_height: {camera.height}",
             f"camera_name: {name}",
             *_yaml_matrix("camera_matrix", camera.K),
-            f"distortion_model: {'plumb_bob' if count == 5 else 'rational_polynomial'}",
+            f"distortion_model: {model}",
             *_yaml_matrix("distortion_coefficients", dist),
             *_yaml_matrix("rectification_matrix", np.eye(3)),
             *_yaml_matrix("projection_matrix", projection),
             "",
         ]
     )
+
+
+def _ros_model(camera: Camera) -> tuple[str, int]:
+    """Name of the distortion model in ROS, and how many coefficients it holds."""
+    if camera.model == "fisheye":
+        return "equidistant", 4
+    return ("plumb_bob", 5) if camera.dist.size <= 5 else ("rational_polynomial", 8)
 
 
 def _yaml_matrix(key: str, values: NDArray[np.float64]) -> list[str]:

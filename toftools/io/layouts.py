@@ -219,7 +219,11 @@ def near_path_m(camera: Camera, near_clip_m: float, shape: tuple[int, int]) -> N
     if camera.shape != shape:
         msg = f"the camera must be of the size of the image {shape}, got {camera.shape}"
         raise ValueError(msg)
-    return np.asarray(near_clip_m / rays(camera)[..., 2])
+    forward = rays(camera)[..., 2]
+    if (forward <= 0).any():
+        msg = "a near clipping plane needs rays that look forward, and this fisheye looks aside too"
+        raise ValueError(msg)
+    return np.asarray(near_clip_m / forward)
 
 
 def from_phasors(

@@ -130,6 +130,8 @@ def _write_sensor(group: Any, sensor: Sensor) -> None:  # noqa: ANN401 - h5py ha
         "timing": dict(vars(sensor.timing)),
         "harmonics_re": harmonics.real.tolist(),
         "harmonics_im": harmonics.imag.tolist(),
+        # Files of pinholes stay as they were before there was a choice.
+        **({} if camera.model == "pinhole" else {"camera_model": camera.model}),
     }
     group.attrs.update(
         width=camera.width,

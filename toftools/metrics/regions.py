@@ -72,6 +72,7 @@ def regions(
         scored &= phasors.valid
     camera = capture.sensor.camera
     z_m = np.where(range_m > 0, range_m, np.nan) * rays(camera)[..., 2]
+    z_m = np.where(z_m > 0, z_m, np.nan)  # a fisheye may look back
     amplitude = _amplitude(capture, phasors, scored)
     return {
         "all": scored,

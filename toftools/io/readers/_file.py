@@ -151,7 +151,7 @@ def sensor_of_size(name: str, width: int, height: int) -> tuple[Sensor, str]:
         f"camera of the preset {sensor.name} ({camera.width}x{camera.height}) brought to "
         f"{width}x{height}: same horizontal field of view, square pixels, centred rows (assumed)"
     )
-    return replace(sensor, camera=Camera(width, height, K, camera.dist)), note
+    return replace(sensor, camera=replace(camera, width=width, height=height, K=K)), note
 
 
 def depth_sensor(camera: Camera, freq_hz: float, name: str) -> Sensor:

@@ -4,7 +4,7 @@ Keys, any one of the three measurements and what goes with it:
 - ``range_m`` or ``z_m`` (H, W), m, with ``sigma_m``, ``confidence``, ``amplitude`` (H, W);
 - ``phasors`` (F, H, W) complex, ``freqs_hz`` (F,), and ``sigma`` (F, H, W);
 - ``taps`` (F, K, H, W), ``freqs_hz``, ``steps_rad`` (K,) or (F, K);
-and for all: ``valid`` (H, W), ``truth_range_m`` (H, W), ``K`` (3, 3) px and ``dist``.
+and for all: ``valid`` (H, W), ``truth_range_m`` (H, W), ``K`` (3, 3) px, ``dist``, ``fisheye``.
 Convention: z = A exp(+j phi), I_k = B + A cos(phi - step_k), SI units; `range_m` wins over `z_m`.
 Invalid: NaN, infinite, zero or negative ranges; ``valid`` false. Without ``K`` the field of view
 is assumed. Objects are never unpickled.
@@ -26,7 +26,8 @@ from toftools.phasor import demodulate
 from toftools.types import Camera, Capture, DepthMap, Modulation, Phasors, Sensor, Taps, Truth
 
 _KEYS = ("range_m", "z_m", "sigma_m", "confidence", "amplitude", "phasors", "sigma", "taps",
-         "freqs_hz", "steps_rad", "valid", "truth_range_m", "K", "dist")  # fmt: skip
+         "freqs_hz", "steps_rad", "valid", "truth_range_m", "K", "dist",
+         "fisheye")  # fmt: skip
 _LIMIT = 1 << 29
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, KeyError,
                NotImplementedError)  # fmt: skip
@@ -144,7 +145,8 @@ def _camera(
     height, width = shape
     if "K" in arrays:
         dist = _real(arrays.get("dist", np.zeros(0)))
-        return Camera(width, height, _real(arrays["K"]), dist), "from the file"
+        model = "fisheye" if np.any(arrays.get("fisheye", False)) else "pinhole"
+        return Camera(width, height, _real(arrays["K"]), dist, model), "from the file"
     return pinhole(width, height, hfov_deg=hfov_deg), f"pinhole, {hfov_deg} degrees assumed"
 
 
