@@ -15,9 +15,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the bottom of the house to the top; a file imports only what stands before it.
 LAYERS = [
-    "units", "_arrays", "electronics", "device", "types", "tap_noise", "phasor", "crlb", "camera",
-    "transient", "_params", "conditions", "registry", "chain", "_overrides", "sensors", "_native",
-    "_turns", "_transfer", "io", "sim", "calib", "correct",
+    "units", "_arrays", "_lens", "electronics", "device", "types", "tap_noise", "phasor", "crlb",
+    "camera", "transient", "_params", "conditions", "registry", "chain", "_overrides", "sensors",
+    "_native", "_turns", "_transfer", "io", "sim", "calib", "correct",
     "filter", "metrics", "viz", "bench", "cli", "__main__",
 ]  # fmt: skip
 # _overrides reads waveforms by name and sits below sim for that one function-level import.

@@ -44,7 +44,7 @@ def pinhole_limit(dist: F64) -> float:
     above = np.array([k[4], k[1], k[0], 1.0])  # in s = r^2, from the highest power
     below = np.array([k[7], k[6], k[5], 1.0])
     s = np.array([2.0, 0.0])
-    rise = np.polysub(
+    rise: F64 = np.polysub(
         np.polymul(np.polyadd(above, np.polymul(s, np.polyder(above))), below),
         np.polymul(s, np.polymul(above, np.polyder(below))),
     )
@@ -89,7 +89,8 @@ def fisheye_radius(theta_rad: F64, dist: F64) -> F64:
     calibration method for conventional, wide-angle, and fish-eye lenses, PAMI 28(8), 2006.
     """
     s = theta_rad * theta_rad
-    return theta_rad * (1 + s * (dist[0] + s * (dist[1] + s * (dist[2] + s * dist[3]))))
+    bent = 1 + s * (dist[0] + s * (dist[1] + s * (dist[2] + s * dist[3])))
+    return np.asarray(theta_rad * bent)
 
 
 def fisheye_angle(radius: F64, dist: F64) -> F64:
