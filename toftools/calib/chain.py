@@ -111,17 +111,35 @@ def extended(chain: Chain, stage: Stage) -> Chain:
     ValueError
         If a later stage is there already: it was fitted without the new one.
     """
-    place = SLOTS.index(stage.slot)
-    later = [s.slot for s in chain.stages if SLOTS.index(s.slot) > place and s.slot != "extrinsics"]
-    if later:
-        msg = (
-            f"got {stage.slot} after {later[0]}, which was fitted without it; calibrate in the "
-            f"order {', '.join(SLOTS)}: start a new file, or fit {', '.join(later)} again after it"
-        )
-        raise ValueError(msg)
+    check_order(chain, stage.slot)
     kept = [s for s in chain.stages if s.slot != stage.slot]
     stages = sorted([*kept, stage], key=lambda s: SLOTS.index(s.slot))
     return replace(chain, stages=tuple(stages))
+
+
+def check_order(chain: Chain, slot: str) -> None:
+    """Refuse a stage whose successors are there already, before any work is done for it.
+
+    Parameters
+    ----------
+    chain : Chain
+        What has been calibrated so far.
+    slot : str
+        Place of the new stage.
+
+    Raises
+    ------
+    ValueError
+        If a later stage was fitted without it.
+    """
+    place = SLOTS.index(slot)
+    later = [s.slot for s in chain.stages if SLOTS.index(s.slot) > place and s.slot != "extrinsics"]
+    if later:
+        msg = (
+            f"got {slot} after {later[0]}, which was fitted without it; calibrate in the order "
+            f"{', '.join(SLOTS)}: start a new file, or fit {', '.join(later)} again after it"
+        )
+        raise ValueError(msg)
 
 
 def applied(chain: Chain, capture: Capture) -> Capture:

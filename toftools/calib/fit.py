@@ -1,0 +1,193 @@
+"""Fits stages one after another, each on captures that all stages before it have corrected."""
+
+import importlib
+import importlib.util
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from toftools.calib.chain import Chain, applied, check_fits, check_order, extended
+from toftools.calib.plan import Plan, Step
+from toftools.calib.stage import Stage
+from toftools.conditions import conditions_of, name_of
+from toftools.phasor import phasors_of
+from toftools.registry import CALIBRATIONS, find
+from toftools.types import Capture
+
+LOG = logging.getLogger("toftools.calib")
+ANY_LIGHT = ("dark", "flat", "board")
+"""Kinds whose frames may be black or saturated; their own fits judge them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one step.
+
+    Parameters
+    ----------
+    step : Step
+        The step.
+    stage : Stage or None
+        What was fitted; None if nothing was.
+    reason : str
+        Why nothing was fitted; empty otherwise.
+    """
+
+    step: Step
+    stage: Stage | None
+    reason: str = ""
+
+
+def fit_stage(chain: Chain, slot: str, entry: str, captures: Sequence[Capture]) -> Stage:
+    """Fit one stage on what the stages before it leave.
+
+    Parameters
+    ----------
+    chain : Chain
+        What has been calibrated so far.
+    slot : str
+        Place of the new stage.
+    entry : str
+        Which fit, as typed: ``wiggling:harmonics=4`` or ``mypkg.mine:make``.
+    captures : sequence of Capture
+        Raw captures with conditions.
+
+    Returns
+    -------
+    Stage
+        The fitted stage.
+
+    Raises
+    ------
+    ValueError
+        If the chain holds a later stage already, a capture is of another camera or shows nothing,
+        or the fit refuses them.
+    TypeError
+        If a fit of the user's own returns no stage.
+    """
+    check_order(chain, slot)
+    for capture in captures:
+        check_fits(chain, capture)
+        check_frame(capture)
+    LOG.info("%s: fitting %d captures", slot, len(captures))
+    before = chain.before(slot)
+    stage: object = find(CALIBRATIONS, entry).build([applied(before, c) for c in captures])
+    if not isinstance(stage, Stage) or stage.slot != slot:
+        got = getattr(stage, "slot", type(stage).__name__)
+        msg = f"{entry} gave {got}, wanted a stage for {slot}: see toftools.calib.stage"
+        raise TypeError(msg)
+    return stage
+
+
+def fit_plan(plan: Plan, chain: Chain) -> tuple[Chain, tuple[Outcome, ...]]:
+    """Fit all stages of a plan in order, then refine them together where that is possible.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to fit from what.
+    chain : Chain
+        What to start from, usually a chain without stages.
+
+    Returns
+    -------
+    tuple of Chain and tuple of Outcome
+        The calibration, and what became of every step.
+
+    Raises
+    ------
+    ValueError
+        If a fit blames a capture by name. A fit that lacks data otherwise leaves its stage out.
+    """
+    outcomes = []
+    for step in plan.steps:
+        if step.reason:
+            outcomes.append(Outcome(step, None, step.reason))
+            continue
+        try:
+            stage = fit_stage(chain, step.slot, step.entry, step.captures)
+        except ValueError as error:
+            if _blames(error, step.captures):
+                msg = f"{error} (or leave the stage out with --skip {step.slot})"
+                raise ValueError(msg) from error
+            LOG.info("%s: left out: %s", step.slot, error)
+            outcomes.append(Outcome(step, None, str(error)))
+            continue
+        chain = extended(chain, stage)
+        outcomes.append(Outcome(step, stage))
+    chain = refined(chain, [c for o in outcomes if o.stage for c in o.step.captures])
+    kept = tuple(Outcome(o.step, chain.stage(o.step.slot), o.reason) for o in outcomes)
+    return chain, kept
+
+
+def refined(chain: Chain, captures: Sequence[Capture]) -> Chain:
+    """The chain with its phase stages fitted once more, all together.
+
+    Parameters
+    ----------
+    chain : Chain
+        Stages fitted one after another.
+    captures : sequence of Capture
+        All captures that they were fitted from.
+
+    Returns
+    -------
+    Chain
+        Refined; the chain itself where there is nothing to refine.
+    """
+    name = "toftools.calib.refine"
+    if importlib.util.find_spec(name) is None or not chain.stages:
+        return chain
+    LOG.info("refining %s together", ", ".join(stage.slot for stage in chain.stages))
+    better: Chain = importlib.import_module(name).refine(chain, unique(captures))
+    return better
+
+
+def unique(captures: Sequence[Capture]) -> list[Capture]:
+    """Captures without those that were there before, in order.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Captures, some perhaps several times.
+
+    Returns
+    -------
+    list of Capture
+        Each once.
+    """
+    return list({id(capture): capture for capture in captures}.values())
+
+
+def check_frame(capture: Capture) -> None:
+    """Refuse a frame that shows nothing.
+
+    Parameters
+    ----------
+    capture : Capture
+        Raw capture with conditions.
+
+    Raises
+    ------
+    ValueError
+        If all pixels are invalid (saturated, mostly), or none saw any light.
+    """
+    if conditions_of(capture).kind in ANY_LIGHT:
+        return
+    phasors = phasors_of(capture)
+    if not phasors.valid.any():
+        msg = (
+            f"{name_of(capture)} has no valid pixel: saturated, or cut off by its reader; take it "
+            "again with a shorter exposure"
+        )
+        raise ValueError(msg)
+    if not (np.abs(phasors.values[:, phasors.valid]) > 0).any():
+        msg = f"{name_of(capture)} is black: no pixel saw modulated light; take it again"
+        raise ValueError(msg)
+
+
+def _blames(error: ValueError, captures: Sequence[Capture]) -> bool:
+    """Whether a message names one of the captures, which is then the one to look at."""
+    return any(name_of(capture) in str(error) for capture in captures)
