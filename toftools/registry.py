@@ -177,7 +177,10 @@ SIMULATORS = _table(
     analytic=Spec("toftools.sim.analytic:analytic"),
     path=Spec("toftools.sim.path:path", grid={"antialias": (1, 4)}),
 )
-CALIBRATIONS = _table()
+CALIBRATIONS = _table(
+    common_phase=Spec("toftools.calib.common_phase:common_phase"),
+    fixed_pattern=Spec("toftools.calib.fixed_pattern:fixed_pattern"),
+)
 CORRECTIONS = _table(
     single=Spec("toftools.correct.single:single"),
     crt=Spec("toftools.correct.crt:crt", grid={"max_range_m": (5.0, 10.0, 0.0)}),
