@@ -1,0 +1,123 @@
+"""The chain in one pass does what its stages do one after another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration_toys import Bend, Constant, Drift, Pattern, Waves
+from toftools.calib.chain import chain_for, extended
+from toftools.calib.fused import at_temperatures, fused
+from toftools.sensors import sensor
+from toftools.types import Phasors
+
+DEVICE = sensor("kinect2_nominal:width=37,height=23")
+SHAPE = (3, 23, 37)
+
+
+def chain_of(*stages):
+    chain = chain_for(DEVICE)
+    for stage in stages:
+        chain = extended(chain, stage)
+    return chain
+
+
+def all_stages():
+    rng = np.random.default_rng(2)
+    pattern = rng.normal(size=SHAPE) * 0.1
+    pattern[:, 3, 4] = np.nan
+    return (
+        Waves(),
+        Constant(np.array([0.3, -2.0, 5.0])),
+        Pattern(pattern),
+        Bend(),
+        Drift(np.array([0.01, 0.02, 0.03]), sensor_c=35.0),
+    )
+
+
+def phasors(seed=1):
+    rng = np.random.default_rng(seed)
+    amplitude = 2 ** rng.uniform(3.2, 15.8, SHAPE)
+    values = amplitude * np.exp(2j * np.pi * rng.random(SHAPE))
+    valid = rng.random(SHAPE[1:]) > 0.1
+    return Phasors(values.astype(np.complex64), rng.random(SHAPE).astype(np.float32), valid)
+
+
+def one_by_one(chain, measured):
+    for stage in chain.stages:
+        measured = stage(measured)
+    return measured
+
+
+@pytest.mark.parametrize("n", range(6))
+def test_same_as_one_by_one(n):
+    chain, measured = chain_of(*all_stages()[:n]), phasors()
+    slow, fast = one_by_one(chain, measured), fused(chain)(measured)
+    error = np.abs(np.angle(fast.values * slow.values.conj()))[:, slow.valid]
+    assert error.max() < 1e-4
+    np.testing.assert_allclose(np.abs(fast.values), np.abs(measured.values), rtol=1e-6)
+    np.testing.assert_allclose(fast.sigma, slow.sigma, rtol=1e-4)
+    np.testing.assert_array_equal(fast.valid, slow.valid)
+
+
+@pytest.mark.parametrize("which", range(5))
+def test_every_stage_alone(which):
+    chain, measured = chain_of(all_stages()[which]), phasors(3)
+    slow, fast = one_by_one(chain, measured), fused(chain)(measured)
+    error = np.abs(np.angle(fast.values * slow.values.conj()))[:, slow.valid]
+    assert error.max() < (1e-4 if which == 3 else 5e-6)
+
+
+def test_it_corrects_something():
+    chain, measured = chain_of(*all_stages()), phasors()
+    done = fused(chain)(measured)
+    assert np.abs(np.angle(done.values * measured.values.conj())).mean() > 0.5
+
+
+def test_amplitudes_beyond_the_span_keep_its_ends():
+    chain, ones = chain_of(Bend()), np.ones(SHAPE, np.complex64)
+    run = fused(chain)
+    for inside, beyond in ((8.0, 0.5), (2.0**16, 2.0**20)):
+        at, out = run(Phasors(ones * inside)).values, run(Phasors(ones * beyond)).values
+        np.testing.assert_allclose(np.angle(at), np.angle(out), atol=1e-6)
+
+
+def test_without_sigma_and_with_hopeless_pixels():
+    run, measured = fused(chain_of(*all_stages())), phasors()
+    values = np.array(measured.values)
+    values[0, 0, 0], values[1, 1, 1], values[:, 2, 2] = np.nan, np.inf, 0
+    done = run(Phasors(values))
+    assert done.sigma is None
+    assert not done.valid[0, 0] and not done.valid[1, 1]
+    rest = np.isfinite(values).all(axis=0)
+    np.testing.assert_array_equal(
+        np.isfinite(done.values).all(axis=0)[rest], np.ones(rest.sum(), bool)
+    )
+    assert (done.values[:, 2, 2] == 0).all()
+
+
+def test_temperatures():
+    cold = chain_of(replace(all_stages()[4], sensor_c=float("nan")))
+    with pytest.raises(ValueError, match="temperature"):
+        fused(cold)
+    done = fused(at_temperatures(cold, sensor_c=27.0))(phasors())
+    turn = np.angle(done.values[2] * phasors().values[2].conj())
+    np.testing.assert_allclose(turn, -0.06, atol=1e-6)
+
+
+def test_another_size_is_refused():
+    run = fused(chain_of(Waves()))
+    with pytest.raises(ValueError, match=r"\(3, 23, 37\)"):
+        run(Phasors(np.ones((3, 4, 5), np.complex64)))
+
+
+def test_nothing_is_compiled_after_making():
+    from toftools.calib import fused as module
+
+    run = fused(chain_of(*all_stages()))
+    known = len(module._correct.signatures)
+    strided = Phasors(np.ones((3, 37, 23), np.complex64).transpose(0, 2, 1))
+    run(strided)
+    run(phasors())
+    run(replace(phasors(), sigma=None))
+    assert len(module._correct.signatures) == known
