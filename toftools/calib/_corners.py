@@ -1,0 +1,235 @@
+"""Corners of a printed board in amplitude and infrared images, which are small, dark and uneven.
+
+Amplitude falls with the square of the range and with the cosine of the surface, so boards are
+looked for in several renderings of one image (linear, square root, flattened by its own local mean,
+CLAHE) at several sizes, cheapest first; the first find that makes a grid is refined in the square
+root of the image as it is, where shot noise is even. Fails below about 5 px a square.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools._arrays import F32, F64
+from toftools.calib._lens_views import View, trouble
+from toftools.calib.board import Board, charuco
+
+SMALL_PX, MIDDLE_PX, LARGE_PX = 200, 400, 1400
+"""Longer side up to which an image is enlarged up to 4, 3 and 2 times; beyond, it is halved."""
+OFF_GRID = 0.3
+"""Squares by which corners may lie off a plane grid: lens distortion bends one by less."""
+AFTER = 6
+"""Further searches for the corners that a first one missed."""
+TONES = ("linear", "root", "flat", "clahe")
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Corners of the board in one view.
+
+    Parameters
+    ----------
+    name : str
+        View.
+    ids : ndarray, (N,), int
+        Which of `Board.points`.
+    corners : ndarray, (N, 2)
+        Where, x and y, px.
+    """
+
+    name: str
+    ids: Any
+    corners: F64
+
+
+def find_board(view: View, board: Board) -> Seen | None:
+    """Corners of a board in a view.
+
+    Parameters
+    ----------
+    view : View
+        Image.
+    board : Board
+        What to look for.
+
+    Returns
+    -------
+    Seen or None
+        Corners in subpixels; None if the board is not found.
+    """
+    if trouble(view) == "black":
+        return None
+    search = _markers if board.kind == "charuco" else _chessboard
+    most, best, left = len(board.points()), None, AFTER
+    for rendering in _searches(view.image):
+        found = search(rendering, board)
+        left -= best is not None
+        if left < 0:
+            break
+        if found is None or (best is not None and len(found[0]) <= len(best.ids)):
+            continue
+        ids, corners = _refined(view.image, board, *found)
+        if _is_grid(board, ids, corners):
+            best = Seen(view.name, ids, corners)
+            if len(ids) == most:
+                break
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """One rendering of an image and how to look at it."""
+
+    image: Any  # (h, w) uint8
+    scale: float
+    sector: bool  # OpenCV's sector-based detector, else its classic one
+
+    def home(self, corners: Any) -> F64:  # noqa: ANN401 - of OpenCV, any shape
+        """Corners of the rendering as pixels of the image."""
+        return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / self.scale - 0.5
+
+
+def _searches(image: F32) -> Iterator[_Search]:
+    import cv2
+
+    side = max(image.shape)
+    scales: tuple[float, ...] = (2, 4, 3, 1) if side <= SMALL_PX else (2, 1, 3)
+    if side > MIDDLE_PX:
+        scales = (1, 2) if side <= LARGE_PX else (0.5, 1)
+    for scale in scales:
+        for tone in TONES:
+            grey = _rendered(image, tone)
+            if scale != 1:
+                way = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+                grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=way)
+            for sector in (False, True):
+                yield _Search(grey, scale, sector)
+
+
+def _rendered(image: F32, tone: str) -> Any:  # noqa: ANN401 - (H, W) uint8
+    """8-bit rendering of an image."""
+    import cv2
+
+    light = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+    light = np.maximum(light - min(float(light.min()), 0.0), 0.0)
+    if tone == "linear":
+        return _stretched(light)
+    root = np.sqrt(light)
+    if tone == "root":
+        return _stretched(root)
+    if tone == "clahe":
+        return cv2.createCLAHE(3.0, (4, 4)).apply(_stretched(root))
+    mean = cv2.GaussianBlur(root, (0, 0), max(image.shape) / 12)
+    return _stretched(root / (mean + 1e-3 * float(root.max())))
+
+
+def _stretched(image: F32) -> Any:  # noqa: ANN401 - (H, W) uint8
+    low, high = np.percentile(image, [1.0, 99.5])
+    share = (image - low) / max(float(high - low), 1e-30)
+    return np.asarray(np.clip(share, 0, 1) * 255).astype(np.uint8)
+
+
+def _chessboard(search: _Search, board: Board) -> tuple[Any, F64] | None:
+    import cv2
+
+    if search.sector:
+        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCornersSB(search.image, board.corners, flags=flags)
+    else:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCorners(search.image, board.corners, flags=flags)
+    if not found:
+        return None
+    ordered = _ordered(search.image, board, np.asarray(corners, np.float64).reshape(-1, 2))
+    return np.arange(len(ordered)), search.home(ordered)
+
+
+def _ordered(image: Any, board: Board, corners: F64) -> F64:  # noqa: ANN401 - (h, w) uint8
+    """Corners in the order of `Board.points`: seen from the front, from the dark first square.
+
+    A board that looks the same after a turn starts at whichever end is nearer to the upper left
+    corner of the image.
+    """
+    columns, rows = board.corners
+    grid = corners.reshape(rows, columns, 2)
+    turns = [grid, grid[::-1, ::-1]]
+    if columns == rows:
+        turns += [np.rot90(grid), np.rot90(grid, 3)]
+    across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if across[0] * down[1] - across[1] * down[0] < 0:  # a mirrored order
+        turns = [turn[:, ::-1] for turn in turns]
+    darkness = [_darkness(image, turn) for turn in turns]
+    likely = [t for t, d in zip(turns, darkness, strict=True) if d >= max(darkness) - 10]
+    return np.asarray(min(likely, key=lambda t: float(t[0, 0].sum()))).reshape(-1, 2)
+
+
+def _darkness(image: Any, grid: F64) -> float:  # noqa: ANN401 - (h, w) uint8
+    """How much darker those squares are that should be dark, grey levels.
+
+    The square between the first four inner corners is dark, as the first of the board is.
+    """
+    middle = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
+    x, y = np.round(middle).astype(int).transpose(2, 0, 1)
+    height, width = image.shape
+    grey = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(float)
+    j, i = np.mgrid[0 : grey.shape[0], 0 : grey.shape[1]]
+    return float(grey[(i + j) % 2 == 1].mean() - grey[(i + j) % 2 == 0].mean())
+
+
+def _markers(search: _Search, board: Board) -> tuple[Any, F64] | None:
+    import cv2
+
+    if search.sector:
+        return None  # one detector only
+    settings = cv2.aruco.CharucoParameters()
+    settings.minMarkers = 1  # beside a corner; the grid is checked afterwards
+    detector = cv2.aruco.CharucoDetector(charuco(board), settings)
+    corners, ids, _, _ = detector.detectBoard(search.image)
+    if ids is None or np.size(ids) < 6:
+        return None
+    return np.ravel(ids), search.home(corners)
+
+
+def _refined(image: F32, board: Board, ids: Any, corners: F64) -> tuple[Any, F64]:  # noqa: ANN401
+    """Corners on the saddle points of the image itself; one that wanders off stays put."""
+    import cv2
+
+    spacing = _spacing(board, ids, corners)
+    reach = 0.35
+    if board.kind == "charuco":  # keep off the markers
+        reach = min(reach, 0.7 * (board.square_m - board.marker_m) / (2 * board.square_m))
+    window = int(np.clip(round(reach * spacing), 2, 15))
+    light = np.sqrt(np.maximum(np.nan_to_num(image, nan=0.0, posinf=0.0), 0.0)).astype(np.float32)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    start = corners.astype(np.float32).reshape(-1, 1, 2)
+    moved = cv2.cornerSubPix(light, start.copy(), (window, window), (-1, -1), stop)
+    moved = np.asarray(moved, dtype=np.float64).reshape(-1, 2)
+    near = np.linalg.norm(moved - corners, axis=1) < 0.3 * spacing
+    return ids, np.where(near[:, None], moved, corners)
+
+
+def _spacing(board: Board, ids: Any, corners: F64) -> float:  # noqa: ANN401 - whole numbers
+    """Shortest distance of neighbours on the board in the image, px."""
+    places = board.points()[ids, :2]
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    beside = np.triu(apart < 1.1 * board.square_m, 1)
+    lengths = np.linalg.norm(corners[:, None] - corners[None], axis=-1)[beside]
+    return float(np.percentile(lengths, 10)) if lengths.size else 10.0
+
+
+def _is_grid(board: Board, ids: Any, corners: F64) -> bool:  # noqa: ANN401 - whole numbers
+    """Whether corners lie on a grid seen in perspective, up to what a lens bends."""
+    import cv2
+
+    places = board.points()[ids, :2]
+    if np.ptp(places[:, 0]) == 0 or np.ptp(places[:, 1]) == 0 or not np.isfinite(corners).all():
+        return False  # corners in a row say nothing about a plane
+    matrix, _ = cv2.findHomography(places, corners)
+    if matrix is None:
+        return False
+    mapped = np.column_stack([places, np.ones(len(places))]) @ matrix.T
+    off = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - corners, axis=1)
+    spacing = _spacing(board, ids, corners)
+    return bool(spacing > 2 and np.median(off) < OFF_GRID * spacing)
