@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from calibration_toys import Bend, Constant, Drift, Pattern, Waves
+
 from toftools.calib.chain import chain_for, extended
 from toftools.calib.fused import at_temperatures, fused
 from toftools.sensors import sensor
