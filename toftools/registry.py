@@ -178,6 +178,7 @@ SIMULATORS = _table(
     path=Spec("toftools.sim.path:path", grid={"antialias": (1, 4)}),
 )
 CALIBRATIONS = _table(
+    response=Spec("toftools.calib.response:response"),
     common_phase=Spec("toftools.calib.common_phase:common_phase"),
     fixed_pattern=Spec("toftools.calib.fixed_pattern:fixed_pattern"),
 )
