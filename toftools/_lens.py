@@ -4,6 +4,8 @@ A distortion polynomial that turns back would send two directions to one pixel; 
 its first turning point has no pixel, and every pixel beyond its largest radius no direction.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from toftools._arrays import F64
@@ -39,16 +41,19 @@ def pinhole_limit(dist: F64) -> float:
     >>> round(pinhole_limit(np.array([-0.1, 0, 0, 0])), 6)  # 1 - 3 * 0.1 r^2 = 0
     1.825742
     """
-    k = np.zeros(14)
-    k[: dist.size] = dist
-    above = np.array([k[4], k[1], k[0], 1.0])  # in s = r^2, from the highest power
-    below = np.array([k[7], k[6], k[5], 1.0])
+    k1, k2, _, _, k3, k4, k5, k6 = [*dist.tolist(), *8 * [0.0]][:8]
+    return _rising_up_to((k3, k2, k1, 1.0), (k6, k5, k4, 1.0))
+
+
+@lru_cache(maxsize=64)
+def _rising_up_to(above: tuple[float, ...], below: tuple[float, ...]) -> float:
+    """Limit of r above(r^2) / below(r^2), coefficients from the highest."""
     s = np.array([2.0, 0.0])
     rise: F64 = np.polysub(
         np.polymul(np.polyadd(above, np.polymul(s, np.polyder(above))), below),
         np.polymul(s, np.polymul(above, np.polyder(below))),
     )
-    return float(np.sqrt(min(_first_root(rise), _first_root(below))))
+    return float(np.sqrt(min(_first_root(rise), _first_root(np.asarray(below)))))
 
 
 def fisheye_limit(dist: F64) -> float:
@@ -64,7 +69,13 @@ def fisheye_limit(dist: F64) -> float:
     float
         Angle, rad; at most pi.
     """
-    rise = np.array([9 * dist[3], 7 * dist[2], 5 * dist[1], 3 * dist[0], 1.0])
+    k1, k2, k3, k4 = dist.tolist()
+    return _angle_up_to(k1, k2, k3, k4)
+
+
+@lru_cache(maxsize=64)
+def _angle_up_to(k1: float, k2: float, k3: float, k4: float) -> float:
+    rise = np.array([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])
     return float(min(np.pi, np.sqrt(_first_root(rise))))
 
 

@@ -1,4 +1,4 @@
-"""Camera intrinsics as text for other tools: Open3D, OpenCV and ROS.
+"""Camera intrinsics as text for other tools, Open3D, OpenCV and ROS, and read from theirs.
 
 Pixel centres lie at integer coordinates in all three, as here. Open3D stores its matrix by
 columns and no distortion; ROS knows plumb_bob (5), rational_polynomial (8 coefficients) and, for
@@ -6,6 +6,8 @@ a fisheye, equidistant (4).
 """
 
 import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -154,3 +156,105 @@ def write_text(path: Path | str, text: str) -> None:
     """
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+NAMES = {
+    "K": ("camera_matrix", "K", "intrinsic_matrix"),
+    "dist": ("distortion_coefficients", "dist", "D"),
+    "size": ("img_size", "image_size"),
+    "width": ("image_width", "width"),
+    "height": ("image_height", "height"),
+    "model": ("camera_model", "distortion_model"),
+}
+"""What other programs call it."""
+FISHEYE_NAMES = ("fisheye", "equidistant")
+PINHOLE_NAMES = ("pinhole", "plumb_bob", "rational_polynomial", "")
+MAX_TEXT = 1 << 20
+
+
+def read_intrinsics(path: Path | str) -> Camera:
+    """Camera out of the intrinsics file of another program.
+
+    Parameters
+    ----------
+    path : path
+        ROS camera_info YAML, or JSON or YAML of OpenCV's FileStorage (matrix ``camera_matrix`` or
+        ``K``, ``distortion_coefficients`` or ``dist``, ``image_width`` and ``image_height`` or
+        ``img_size`` as width and height), as `opencv_json` and `ros_yaml` write them; Open3D's
+        JSON too.
+
+    Returns
+    -------
+    Camera
+        The camera.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing, too long, or lacks one of these.
+    """
+    path = Path(path)
+    if not path.is_file():
+        msg = f"{path} is not there; give the intrinsics of the camera as OpenCV JSON or ROS YAML"
+        raise ValueError(msg)
+    if path.stat().st_size > MAX_TEXT:
+        msg = (
+            f"{path.name} has {path.stat().st_size} bytes, too many for the intrinsics of a camera"
+        )
+        raise ValueError(msg)
+    try:
+        text = path.read_text(encoding="utf-8")
+        read = json.loads if text.lstrip().startswith("{") else _yaml_values
+        return _camera_of(read(text))
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
+        detail = " ".join(str(error).split())[:300]
+        msg = f"{path.name} holds no readable camera intrinsics: {detail}"
+        raise ValueError(msg) from error
+
+
+def _camera_of(content: Mapping[str, Any]) -> Camera:
+    found = {
+        key: next((content[name] for name in names if name in content), None)
+        for key, names in NAMES.items()
+    }
+    if found["K"] is None:
+        msg = "it has no camera_matrix"
+        raise ValueError(msg)
+    numbers = _numbers(found["K"]).ravel()
+    if numbers.size != 9:
+        msg = f"the camera matrix must have 9 numbers, got {numbers.size}"
+        raise ValueError(msg)
+    by_columns = "intrinsic_matrix" in content  # Open3D
+    K = numbers.reshape(3, 3, order="F" if by_columns else "C")
+    size: list[Any] = [found["width"], found["height"]]
+    if found["size"] is not None:
+        size = _numbers(found["size"]).ravel().tolist()
+    if len(size) != 2 or None in size:
+        msg = "it does not say image_width and image_height"
+        raise ValueError(msg)
+    model = str(found["model"] or "")
+    if model not in (*FISHEYE_NAMES, *PINHOLE_NAMES):
+        msg = (
+            f"got the distortion model {model!r}; wanted plumb_bob, rational_polynomial or fisheye"
+        )
+        raise ValueError(msg)
+    dist = np.zeros(0) if found["dist"] is None else _numbers(found["dist"]).ravel()
+    known = "fisheye" if model in FISHEYE_NAMES else "pinhole"
+    return Camera(int(size[0]), int(size[1]), K, dist, known)
+
+
+def _numbers(value: Any) -> NDArray[np.float64]:  # noqa: ANN401 - out of a file
+    return np.asarray(value["data"] if isinstance(value, Mapping) else value, dtype=np.float64)
+
+
+def _yaml_values(text: str) -> dict[str, Any]:
+    """Scalars, and matrices as their numbers, of a flat YAML file (ROS or OpenCV)."""
+    found: dict[str, Any] = {}
+    for block in re.split(r"\n(?=[A-Za-z_])", "\n" + text):
+        name, _, value = block.strip().partition(":")
+        numbers = re.search(r"\[([^\]]*)\]", value)
+        if numbers:
+            found[name] = [float(number) for number in numbers[1].split(",") if number.strip()]
+        else:
+            found[name] = value.strip().strip("\"'")
+    return found
