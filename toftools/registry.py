@@ -179,6 +179,11 @@ SIMULATORS = _table(
 )
 CALIBRATIONS = _table(
     response=Spec("toftools.calib.response:response"),
+    wiggling=Spec("toftools.calib.wiggling:wiggling", grid={"harmonics": (4, 8, 0)}),
+    wiggling_spline=Spec(
+        "toftools.calib.wiggling_spline:wiggling_spline", grid={"knots": (8, 16, 32, 0)}
+    ),
+    wiggling_lut=Spec("toftools.calib.wiggling_lut:wiggling_lut", grid={"knots": (16, 32, 0)}),
     common_phase=Spec("toftools.calib.common_phase:common_phase"),
     fixed_pattern=Spec("toftools.calib.fixed_pattern:fixed_pattern"),
 )
