@@ -100,12 +100,17 @@ def transfer(
         [level for level in lit if level.exposure == e] for e in sorted({x.exposure for x in lit})
     ]
     found = [repeats(group, terms, top, offset, good) for group in groups]
-    kept = [one for one in found if one is not None and one.use.any()]
+    kept = [one for one in found if one is not None]
     if not kept:
         return Transfer(*(4 * (float("nan"),)), np.zeros_like(good))
-    rough = _line(*_points(kept, np.zeros_like(good), typical=True))
-    noisy = _noisy(kept, rough[0], z_bad)
-    slope, sd = _line(*_points(kept, noisy, typical=False))
+    if all(one is None for one in found[1:]):  # the dark alone tells a variance, but no gain
+        variance = _points(kept, np.zeros_like(good), typical=True)[1]
+        noisy = _noisy(kept, (0.0, float(variance.mean())), z_bad)
+        slope, sd = _flat(*_points(kept, noisy, typical=False)[1:])
+    else:
+        rough, _ = _line(*_points(kept, np.zeros_like(good), typical=True))
+        noisy = _noisy(kept, rough, z_bad)
+        slope, sd = _line(*_points(kept, noisy, typical=False))
     whole = all((x.taps.values == np.round(x.taps.values)).all() for x in lit)
     rounding = ROUNDING_VARIANCE if whole else 0.0
     return Transfer(slope[0], sd[0], slope[1], sd[1], noisy, rounding)
@@ -163,10 +168,8 @@ def _points(kept: Sequence[Repeats], noisy: Bool, *, typical: bool) -> tuple[F64
 
 def _line(level: F64, variance: F64, count: F64) -> tuple[tuple[float, float], tuple[float, float]]:
     """Weighted line: slope and value at the dark level, with their standard deviations."""
-    nan = float("nan")
-    if not np.ptp(level) > 1e-3 * max(float(np.abs(level).max()), 1e-30):
-        mean = float(np.average(variance, weights=count))
-        return (nan, mean), (nan, mean * float(np.sqrt(2 / count.sum())))
+    if not np.ptp(level) > 1e-3 * float(np.abs(level).max()):
+        return _flat(variance, count)
     fitted = np.maximum(variance, 1e-30)
     basis = np.stack([level, np.ones_like(level)], axis=1)
     for _ in range(5):
@@ -176,6 +179,12 @@ def _line(level: F64, variance: F64, count: F64) -> tuple[tuple[float, float], t
         fitted = np.maximum(basis @ answer, 0.1 * variance)
     sd = np.sqrt(np.diag(covariance))
     return (float(answer[0]), float(answer[1])), (float(sd[0]), float(sd[1]))
+
+
+def _flat(variance: F64, count: F64) -> tuple[tuple[float, float], tuple[float, float]]:
+    """As `_line`, from one level: no slope."""
+    mean = float(np.average(variance, weights=count))
+    return (float("nan"), mean), (float("nan"), mean * float(np.sqrt(2 / count.sum())))
 
 
 def _noisy(kept: Sequence[Repeats], line: tuple[float, float], z_bad: float) -> Bool:

@@ -150,7 +150,7 @@ def residual_of(
         before.append((level.moments[0] - flat)[:, use] / (line * level.exposure) - 1)
         after.append(_relative(level, curve.terms, offset, light, use))
         signal = top * np.median(light[:, use]) * level.exposure
-        variance = found.variance + found.gain * signal
+        variance = max(found.variance + found.gain * signal, 0.0)
         noise.append(variance * offset.shape[0] / (level.n_taps * signal**2))
         others = [x for x in lit if x.exposure != level.exposure]
         if others:
