@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from toftools.calib.chain import chain_for
-from toftools.calib.plan import NEEDS, held_out, missing_before, plan, slot_of
+from toftools.calib.needs import NEEDS, missing_before, slot_of
+from toftools.calib.plan import held_out, plan
 from toftools.calib.stage import SLOTS
 from toftools.calib.verdict import GOOD, NO_DATA, verdict
 from toftools.conditions import Conditions, conditions_of, name_of, with_conditions

@@ -143,7 +143,7 @@ def _waves(phase_rad: F64) -> F64:
 def _explained(basis: F64, centred: F64, level: float) -> float:
     """Variance of the least-squares fit of a few functions, less what noise makes of them."""
     fit = basis @ (np.linalg.pinv(basis.T @ basis, rcond=1e-12) @ (basis.T @ centred))
-    part = float(np.mean(fit**2)) - level * basis.shape[1] / len(centred)
+    part: float = float(np.mean(fit**2)) - level * basis.shape[1] / len(centred)
     return max(part, 0.0)
 
 

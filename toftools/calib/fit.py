@@ -3,8 +3,10 @@
 import importlib
 import importlib.util
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +42,13 @@ class Outcome:
     reason: str = ""
 
 
-def fit_stage(chain: Chain, slot: str, entry: str, captures: Sequence[Capture]) -> Stage:
+def fit_stage(
+    chain: Chain,
+    slot: str,
+    entry: str,
+    captures: Sequence[Capture],
+    params: Mapping[str, Any] = MappingProxyType({}),
+) -> Stage:
     """Fit one stage on what the stages before it leave.
 
     Parameters
@@ -53,6 +61,8 @@ def fit_stage(chain: Chain, slot: str, entry: str, captures: Sequence[Capture]) 
         Which fit, as typed: ``wiggling:harmonics=4`` or ``mypkg.mine:make``.
     captures : sequence of Capture
         Raw captures with conditions.
+    params : mapping
+        Parameters of the fit on top of those in `entry`.
 
     Returns
     -------
@@ -70,10 +80,13 @@ def fit_stage(chain: Chain, slot: str, entry: str, captures: Sequence[Capture]) 
     check_order(chain, slot)
     for capture in captures:
         check_fits(chain, capture)
+        refuse_calibrated(capture)
         check_frame(capture)
     LOG.info("%s: fitting %d captures", slot, len(captures))
     before = chain.before(slot)
-    stage: object = find(CALIBRATIONS, entry).build([applied(before, c) for c in captures])
+    stage: object = find(CALIBRATIONS, entry).build(
+        [applied(before, c) for c in captures], **params
+    )
     if not isinstance(stage, Stage) or stage.slot != slot:
         got = getattr(stage, "slot", type(stage).__name__)
         msg = f"{entry} gave {got}, wanted a stage for {slot}: see toftools.calib.stage"
@@ -81,7 +94,9 @@ def fit_stage(chain: Chain, slot: str, entry: str, captures: Sequence[Capture]) 
     return stage
 
 
-def fit_plan(plan: Plan, chain: Chain) -> tuple[Chain, tuple[Outcome, ...]]:
+def fit_plan(
+    plan: Plan, chain: Chain, params: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+) -> tuple[Chain, tuple[Outcome, ...]]:
     """Fit all stages of a plan in order, then refine them together where that is possible.
 
     Parameters
@@ -90,6 +105,8 @@ def fit_plan(plan: Plan, chain: Chain) -> tuple[Chain, tuple[Outcome, ...]]:
         What to fit from what.
     chain : Chain
         What to start from, usually a chain without stages.
+    params : mapping of str to mapping
+        Slot to parameters of its fit on top of those in the plan.
 
     Returns
     -------
@@ -107,7 +124,8 @@ def fit_plan(plan: Plan, chain: Chain) -> tuple[Chain, tuple[Outcome, ...]]:
             outcomes.append(Outcome(step, None, step.reason))
             continue
         try:
-            stage = fit_stage(chain, step.slot, step.entry, step.captures)
+            more = params.get(step.slot, {})
+            stage = fit_stage(chain, step.slot, step.entry, step.captures, more)
         except ValueError as error:
             if _blames(error, step.captures):
                 msg = f"{error} (or leave the stage out with --skip {step.slot})"
@@ -185,6 +203,28 @@ def check_frame(capture: Capture) -> None:
         raise ValueError(msg)
     if not (np.abs(phasors.values[:, phasors.valid]) > 0).any():
         msg = f"{name_of(capture)} is black: no pixel saw modulated light; take it again"
+        raise ValueError(msg)
+
+
+def refuse_calibrated(capture: Capture) -> None:
+    """Refuse a capture that a calibration has corrected already.
+
+    Parameters
+    ----------
+    capture : Capture
+        Capture that is taken for raw.
+
+    Raises
+    ------
+    ValueError
+        If its provenance tells of stages.
+    """
+    told = capture.provenance.get("calibrated")
+    if told:
+        msg = (
+            f"{name_of(capture)} is calibrated already ({', '.join(map(str, told))}); wanted the "
+            "raw capture"
+        )
         raise ValueError(msg)
 
 

@@ -18,13 +18,15 @@ ENGINES = "toftools.sim"
 
 
 @contextmanager
-def progress(*, verbose: bool) -> Iterator[None]:
+def progress(*, verbose: bool, engines: str = ENGINES) -> Iterator[None]:
     """Show what an engine says while the block runs, if a person can see it.
 
     Parameters
     ----------
     verbose : bool
         Messages are printed as lines already.
+    engines : str
+        Logger to listen to, with all below it.
 
     Yields
     ------
@@ -35,7 +37,7 @@ def progress(*, verbose: bool) -> Iterator[None]:
     if verbose or not stream.isatty():
         yield
         return
-    line, log = _Line(stream), logging.getLogger(ENGINES)
+    line, log = _Line(stream), logging.getLogger(engines)
     handler, level, passes_on = _Handler(line), log.level, log.propagate
     stop = threading.Event()
     ticker = threading.Thread(target=_tick, args=(line, stop), daemon=True)

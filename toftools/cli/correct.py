@@ -1,12 +1,17 @@
-"""``toftools correct C.h5 --method NAME[:k=v,...] [--before F] [--after F] --out D.npz|...``."""
+"""``toftools correct C.h5 [--calib CAL.json] --method NAME[:k=v,...] --out D.npz|...``."""
+
+from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from toftools.registry import CORRECTIONS, FILTERS, READERS
+
+if TYPE_CHECKING:
+    from toftools.types import Capture
 
 SUFFIXES = (".npz", ".png", ".ply", ".h5")
 
@@ -23,11 +28,22 @@ lists the keys of each, and so does the error about a wrong one.
 Examples: toftools correct c.h5 --method crt:max_range_m=5 --out answer.npz
 toftools correct c.h5 --before smooth --after flying_pixels --out clean.ply
 toftools correct c.h5 --method "smooth:radius_px=2 > crt" --out answer.npz
+toftools correct c.h5 --calib cal.json --sensor-c 41 --light-c 45 --out answer.npz
 """
 
 
 @click.command(epilog=EPILOG)
 @click.argument("capture_file", type=click.Path(path_type=Path))
+@click.option("--calib", default=None, type=click.Path(path_type=Path),
+              help="Calibration (toftools calibrate) to apply before anything else.")  # fmt: skip
+@click.option("--skip", multiple=True, metavar="STAGE",
+              help="Stage of the calibration to leave out; repeat for several.")  # fmt: skip
+@click.option("--sensor-c", type=float, default=None,
+              help="Temperature of the sensor, Celsius, if not that of the file.")  # fmt: skip
+@click.option("--light-c", type=float, default=None,
+              help="Temperature of the light source likewise.")  # fmt: skip
+@click.option("--trust", multiple=True, metavar="MODULE",
+              help="Module of stages of your own that the calibration may import.")  # fmt: skip
 @click.option("--method", default="crt", show_default=True, metavar="NAME[:k=v,...]",
               help="A registered method, mypkg.mine:make, or a chain: 'smooth > crt'.")  # fmt: skip
 @click.option("--before", multiple=True, metavar="NAME[:k=v,...]",
@@ -42,6 +58,11 @@ toftools correct c.h5 --method "smooth:radius_px=2 > crt" --out answer.npz
 def command(
     *,
     capture_file: Path,
+    calib: Path | None,
+    skip: tuple[str, ...],
+    sensor_c: float | None,
+    light_c: float | None,
+    trust: tuple[str, ...],
     method: str,
     before: tuple[str, ...],
     after: tuple[str, ...],
@@ -63,6 +84,13 @@ def command(
         msg = f"got --out {out.name}, which is the input; choose another name"
         raise ValueError(msg)
     capture = open_capture(capture_file, format_text)
+    stages: list[str] = []
+    if calib is not None:
+        told = {"sensor_c": sensor_c, "light_c": light_c}
+        capture, stages = _calibrated(capture, capture_file.name, calib, skip, trust, told)
+    elif skip or trust or sensor_c is not None or light_c is not None:
+        msg = "--skip, --trust, --sensor-c and --light-c belong to a calibration; give --calib too"
+        raise ValueError(msg)
     depth = answered(capture, method, before=before, after=after)
     write_answer(out, depth, capture)
     known = np.isfinite(depth.range_m)
@@ -73,17 +101,49 @@ def command(
         "median_range_m": float(np.median(depth.range_m[known])) if known.any() else None,
         "median_sigma_m": _median(depth.sigma_m),
     }
+    if calib is not None:
+        summary["calibration"] = {"file": str(calib), "stages": stages}
     if "shares" in depth.info:
         summary["models"] = dict(depth.info["shares"])
         summary["why"] = dict(depth.info.get("why", {}))
-    if as_json:
-        click.echo(json.dumps(summary))
-    else:
-        click.echo(_sentence(summary))
-        for model, share in summary.get("models", {}).items():
-            reason = summary["why"].get(model)
-            if share or reason:
-                click.echo(f"  {model:<14}{share:6.1%} of pixels{': ' + reason if reason else ''}")
+    click.echo(json.dumps(summary) if as_json else "\n".join(_lines(summary)))
+
+
+def _lines(summary: dict[str, Any]) -> list[str]:
+    """A summary for people."""
+    lines = [_sentence(summary)]
+    if "calibration" in summary:
+        used = summary["calibration"]
+        lines.append(f"  calibrated by {used['file']}: {', '.join(used['stages']) or 'no stage'}")
+    for model, share in summary.get("models", {}).items():
+        reason = summary["why"].get(model)
+        if share or reason:
+            lines.append(f"  {model:<14}{share:6.1%} of pixels{': ' + reason if reason else ''}")
+    return lines
+
+
+def _calibrated(
+    capture: Capture,
+    name: str,
+    calib: Path,
+    skip: tuple[str, ...],
+    trust: tuple[str, ...],
+    told: dict[str, float | None],
+) -> tuple[Capture, list[str]]:
+    """The capture after a calibration, and the stages that were applied."""
+    from dataclasses import replace
+
+    from toftools.calib.chain import applied, skipping
+    from toftools.calib.fit import refuse_calibrated
+    from toftools.calib.store import load_chain
+
+    chain = skipping(load_chain(calib, trusted=trust), skip)
+    given = {key: value for key, value in told.items() if value is not None}
+    conditions = {**capture.provenance.get("conditions", {}), **given}
+    known = {**capture.provenance, "file": name, **({"conditions": conditions} if given else {})}
+    capture = replace(capture, provenance=known)
+    refuse_calibrated(capture)
+    return applied(chain, capture), [stage.slot for stage in chain.stages]
 
 
 def _median(values: object) -> float | None:

@@ -35,12 +35,17 @@ def command(
     intrinsics: str | None,
     as_json: bool,
 ) -> None:
-    """Say what is in FILE: units, convention, noise, wraps."""
+    """Say what is in FILE, a recording or a calibration: units, convention, noise, wraps."""
     import json
 
     from toftools.io.inspect import reference_range, summary
     from toftools.io.open import open_capture
 
+    if file.suffix.lower() == ".json" and format_text is None and reference is None:
+        from toftools.cli._calibration import inspected
+
+        click.echo(inspected(file, intrinsics, as_json=as_json), nl=False)
+        return
     capture = open_capture(file, format_text)
     if intrinsics is not None:
         click.echo(_intrinsics(capture.sensor.camera, intrinsics), nl=False)

@@ -1,0 +1,247 @@
+"""Figures of a calibration as PNG: courses over phase, temperature and distance, views of a lens.
+
+Drawn as `viz.figures` draws maps: through matplotlib's Figure and the Agg canvas.
+"""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.types import F64
+from toftools.units import TWO_PI
+
+DPI = 130
+INK, SOFT, BEFORE, AFTER, FIT = "#1d2330", "#667085", "#c2410c", "#0b6b50", "#111827"
+POINTS = 4000
+"""Most points of a scatter; more are thinned evenly."""
+BINS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Cyclic:
+    """Residual over measured phase, one frequency.
+
+    Parameters
+    ----------
+    title : str
+        Frequency.
+    phase_rad : ndarray, (N,)
+        Measured phase, rad.
+    before_mm, after_mm : ndarray, (N,)
+        Range error without and with the stage, mm.
+    curve_mm : ndarray, (M,)
+        The fitted error over a turn, mm.
+    """
+
+    title: str
+    phase_rad: F64
+    before_mm: F64
+    after_mm: F64
+    curve_mm: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Points of captures over one quantity, one frequency.
+
+    Parameters
+    ----------
+    title : str
+        Frequency.
+    x : ndarray, (N,)
+        Quantity, such as the temperature of the sensor.
+    before_mm, after_mm : ndarray, (N,)
+        Mean range error of each capture without and with the stage, mm.
+    """
+
+    title: str
+    x: F64
+    before_mm: F64
+    after_mm: F64
+
+
+def cyclic_png(panels: Sequence[Cyclic]) -> bytes:
+    """Residuals over a turn of measured phase, before and after, and the fitted curve.
+
+    Parameters
+    ----------
+    panels : sequence of Cyclic
+        One per frequency.
+
+    Returns
+    -------
+    bytes
+        PNG.
+    """
+    figure, axes = _figure(len(panels), 3.1)
+    for ax, panel in zip(axes, panels, strict=True):
+        thin = slice(None, None, max(1, panel.phase_rad.size // POINTS))
+        degrees = np.degrees(panel.phase_rad[thin])
+        ax.plot(degrees, panel.before_mm[thin], ".", ms=1.5, color=BEFORE, alpha=0.25,
+                rasterized=True)  # fmt: skip
+        ax.plot(degrees, panel.after_mm[thin], ".", ms=1.5, color=AFTER, alpha=0.25)
+        for values, color, name in (
+            (panel.before_mm, BEFORE, "before"),
+            (panel.after_mm, AFTER, "after"),
+        ):
+            centre, middle = _binned(panel.phase_rad, values)
+            ax.plot(np.degrees(centre), middle, "-", lw=1.6, color=color, label=name)
+        turn = np.linspace(0, 360, panel.curve_mm.size)
+        ax.plot(turn, panel.curve_mm, "--", lw=1.3, color=FIT, label="fitted")
+        ax.set_xlim(0, 360)
+        ax.set_xticks(range(0, 361, 60))
+        ends = np.concatenate([panel.before_mm[thin], panel.after_mm[thin], panel.curve_mm])
+        _limits(ax, ends)
+        _labels(ax, panel.title, "measured phase, degrees", "range error, mm")
+        ax.legend(fontsize=8, frameon=False, ncols=3, loc="upper center")
+    return _png(figure)
+
+
+def course_png(panels: Sequence[Course], name: str) -> bytes:
+    """Mean errors of captures over a quantity, before and after.
+
+    Parameters
+    ----------
+    panels : sequence of Course
+        One per frequency.
+    name : str
+        The quantity with its unit.
+
+    Returns
+    -------
+    bytes
+        PNG.
+    """
+    figure, axes = _figure(len(panels), 3.0)
+    for ax, panel in zip(axes, panels, strict=True):
+        order = np.argsort(panel.x)
+        for values, color, label in (
+            (panel.before_mm, BEFORE, "before"),
+            (panel.after_mm, AFTER, "after"),
+        ):
+            ax.plot(panel.x[order], values[order], "o-", ms=4, lw=1, color=color, label=label)
+        _labels(ax, panel.title, name, "mean range error, mm")
+        ax.legend(fontsize=8, frameon=False)
+    return _png(figure)
+
+
+def distance_png(
+    distance_m: F64, before_mm: F64, after_mm: F64, noise_mm: F64, *, good: float
+) -> bytes:
+    """Error over distance of held-out captures beside the noise floor, logarithmic.
+
+    Parameters
+    ----------
+    distance_m : ndarray, (N,)
+        Distances, m.
+    before_mm, after_mm, noise_mm : ndarray, (N,)
+        Root mean square range errors without and with the calibration, and by noise, mm.
+    good : float
+        Multiple of the noise floor that counts as good.
+
+    Returns
+    -------
+    bytes
+        PNG.
+    """
+    figure, (ax,) = _figure(1, 3.4)
+    order = np.argsort(distance_m)
+    x = distance_m[order]
+    floor = np.maximum(noise_mm[order], 1e-6)
+    ax.fill_between(x, floor, good * floor, color="#94a3b8", alpha=0.5, lw=0,
+                    label=f"noise floor to {good:g} x")  # fmt: skip
+    ax.plot(x, floor, color="#64748b", lw=1)
+    ax.plot(x, before_mm[order], "s--", ms=4, lw=1, color=BEFORE, label="before")
+    ax.plot(x, after_mm[order], "o-", ms=4, lw=1.2, color=AFTER, label="after")
+    ax.set_yscale("log")
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    _labels(ax, "Held-out captures", "distance along the axis, m", "range error, mm rms")
+    ax.legend(fontsize=8, frameon=False, ncols=3)
+    return _png(figure)
+
+
+def lens_png(corners_px: F64, errors_px: F64, kept: Sequence[bool], size: tuple[int, int]) -> bytes:
+    """Where the corners of all boards fell, and the reprojection error of every view.
+
+    Parameters
+    ----------
+    corners_px : ndarray, (N, 2)
+        Corners of all views, px.
+    errors_px : ndarray, (V,)
+        Root mean square reprojection error of each view, px.
+    kept : sequence of bool
+        Whether a view took part in the fit.
+    size : tuple of int
+        Width and height of the image, px.
+
+    Returns
+    -------
+    bytes
+        PNG.
+    """
+    figure, (left, right) = _figure(2, 3.2)
+    if len(corners_px):
+        left.plot(corners_px[:, 0], corners_px[:, 1], ".", ms=2, color=AFTER, alpha=0.7)
+    left.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
+    _labels(left, "Coverage: corners of all boards", "column, px", "row, px")
+    number = np.arange(1, len(errors_px) + 1)
+    color = [AFTER if one else BEFORE for one in kept]
+    right.bar(number, errors_px, color=color)
+    name = "view" if all(kept) else "view (orange: not in the fit)"
+    _labels(right, "Reprojection error per view", name, "px rms")
+    return _png(figure)
+
+
+def _binned(phase_rad: F64, values: F64) -> tuple[F64, F64]:
+    """Medians over equal parts of the turn that hold data."""
+    place = np.clip((phase_rad * (BINS / TWO_PI)).astype(int), 0, BINS - 1)
+    parts = [values[place == n] for n in range(BINS)]
+    middle = [np.median(part) if part.size > 3 else np.nan for part in parts]
+    return np.asarray((np.arange(BINS) + 0.5) * (TWO_PI / BINS)), np.asarray(middle)
+
+
+def _limits(ax: Any, values: F64) -> None:  # noqa: ANN401 - matplotlib has no types here
+    """Vertical limits that a few outliers do not move."""
+    finite = values[np.isfinite(values)]
+    if finite.size:
+        low, high = np.percentile(finite, [0.5, 99.5])
+        room = 0.2 * max(high - low, 1e-3)
+        ax.set_ylim(low - room, high + 1.6 * room)
+
+
+def _figure(columns: int, height_in: float) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    count = max(columns, 1)
+    width = 4.6 * count if count > 1 else 6.4
+    figure = Figure(figsize=(width, height_in), dpi=DPI, facecolor="white", layout="constrained")
+    return figure, np.atleast_1d(figure.subplots(1, count))
+
+
+def _labels(ax: Any, title: str, x: str, y: str) -> None:  # noqa: ANN401
+    ax.set_title(title, fontsize=10, loc="left", color=INK)
+    ax.set_xlabel(x, fontsize=9, color=INK)
+    ax.set_ylabel(y, fontsize=9, color=INK)
+    ax.tick_params(labelsize=8, color=SOFT, labelcolor=INK)
+    ax.grid(color="#e4e7ec", lw=0.6)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color("#98a2b3")
+
+
+def _png(figure: Any) -> bytes:  # noqa: ANN401
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(
+        buffer, metadata={"Software": None}, pil_kwargs={"optimize": True}
+    )
+    return buffer.getvalue()
