@@ -90,7 +90,7 @@ def test_a_bent_read_out_is_straightened(modulated):
     scale = 1 - 0.08 * top_charge(top) / 20_000  # the curve meets raw numbers at the top
     linear = np.interp(raw, stage.step * np.arange(stage.curve.size), stage.curve)
     seen = raw <= top
-    assert np.abs(linear / (scale * charge) - 1)[seen].max() < 0.004  # bent by 4 %
+    assert np.abs(linear / (scale * charge) - 1)[seen].max() < 0.001  # bent by 5 to 9 %
     assert (stage.terms_sd > 0).all()
     assert (np.diff(stage.curve) > 0).all()
     _, gain = planted(device)
@@ -236,9 +236,11 @@ def test_kernel_equals_its_slow_twin():
     offset = rng.normal(20, 5, (2, 7, 9)).astype(np.float32)
     inverse = rng.uniform(0.9, 1.1, (2, 7, 9)).astype(np.float32)
     curve = np.cumsum(rng.uniform(5, 15, 65)).astype(np.float32)
-    given = (taps, offset, inverse, curve, 16.0, (-40.0, 1080.0), rng.random((7, 9)) > 0.2)
-    got, good = linearise(*given)
-    wanted, wanted_good = twin(*given)
+    slope = (np.diff(curve) / 16).astype(np.float32)
+    intercept = (curve[:-1] - slope * 16 * np.arange(64)).astype(np.float32)
+    rest = (16.0, (-40.0, 1080.0), rng.random((7, 9)) > 0.2)
+    got, good = linearise(taps, offset, inverse, intercept, slope, *rest)
+    wanted, wanted_good = twin(taps, offset, inverse, curve, *rest)
     assert (good == wanted_good).all()
     assert np.allclose(got, wanted, rtol=1e-5, atol=1e-3, equal_nan=True)
 

@@ -5,13 +5,17 @@ from numba import njit, prange
 
 from toftools.types import F32, Bool
 
+MOST = 3e38
+"""Taps beyond are not finite."""
+
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def linearise(
     taps: F32,
     offset: F32,
     inverse_gain: F32,
-    curve: F32,
+    intercept: F32,
+    slope: F32,
     step: float,
     limits: tuple[float, float],
     valid: Bool,
@@ -24,10 +28,10 @@ def linearise(
         Raw taps; tap t is of node t modulo N.
     offset, inverse_gain : ndarray, (N, H, W)
         Dark level after the curve, and 1 / gain.
-    curve : ndarray, (M,)
-        Values at 0, `step`, 2 `step` ...; straight lines in between and beyond both ends.
+    intercept, slope : ndarray, (M,)
+        The curve as straight lines, one per `step` from 0 on; the ends go on.
     step : float
-        Distance of the knots.
+        Width of a line, raw units.
     limits : tuple of 2 floats
         Raw level below which, and from which on, a tap cannot be read.
     valid : ndarray, (H, W), bool
@@ -39,24 +43,24 @@ def linearise(
         Linear taps, and the pixels whose taps are all finite and inside the limits.
     """
     n_taps, height, width = taps.shape
-    nodes, last = offset.shape[0], curve.size - 2
+    nodes, last, zero = offset.shape[0], np.float32(intercept.size - 1), np.float32(0)
     out = np.empty_like(taps)
     good = np.empty((height, width), np.bool_)
     scale = np.float32(1.0 / step)
+    low, high = np.float32(max(limits[0], -MOST)), np.float32(min(limits[1], MOST))
     for y in prange(height):
         for x in range(width):
             good[y, x] = valid[y, x]
         for t in range(n_taps):
             n = t % nodes
+            for x in range(width):  # no branch, so that it vectorises; NaN fails the comparisons
+                raw = taps[t, y, x]
+                inside = raw >= low and raw < high
+                i = np.int32(min(max(raw * scale, zero), last)) if inside else np.int32(0)
+                value = (intercept[i] + slope[i] * raw - offset[n, y, x]) * inverse_gain[n, y, x]
+                out[t, y, x] = value if inside else raw
             for x in range(width):
                 raw = taps[t, y, x]
-                if not (raw >= limits[0] and raw < limits[1] and raw - raw == 0):
+                if not (raw >= low and raw < high):
                     good[y, x] = False
-                    out[t, y, x] = raw
-                    continue
-                at = raw * scale
-                i = np.int64(min(max(at, np.float32(0)), np.float32(last)))
-                low = curve[i]
-                value = low + (at - np.float32(i)) * (curve[i + 1] - low)
-                out[t, y, x] = (value - offset[n, y, x]) * inverse_gain[n, y, x]
     return out, good

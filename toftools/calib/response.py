@@ -18,8 +18,9 @@ where exposures are not known to the accuracy that is asked of the curve; and be
 flat, where the curve goes on straight. Differential taps (A minus B in one number) have no level to
 fit; their table, if there is one, comes from the factory (`toftools.calib.factory`).
 
-Measured (tests/test_response.py, 64 x 48 px, 20,000 electrons, eight exposures): gain of each pixel
-to 0.25 %, dark level to 3 electrons, a curve that bends by 8 % to 0.02 %, dn_per_e to 0.7 %.
+Measured (tests/test_response.py: 48 x 36 px, two nodes, 20,000 electrons, eight exposures twice,
+four dark frames): gain of a pixel to 0.14 % of 3 % planted, dark level to 6.6 of 40 electrons, both
+as their deviations say; a read-out bent by 4.7 % straightened to 0.03 %; dn_per_e to 0.4 %.
 """
 
 from collections.abc import Sequence
@@ -143,11 +144,15 @@ class Response:
                 f"got taps {taps.values.shape}"
             )
             raise ValueError(msg)
+        slope = np.diff(self.curve) / self.step
         values, good = linearise(
             kernel_input(taps.values.reshape(-1, *shape)),
             kernel_input(self.offset),
             kernel_input(1 / self.gain),
-            kernel_input(self.curve.astype(np.float32)),
+            kernel_input(
+                (self.curve[:-1] - slope * self.step * np.arange(slope.size)).astype(np.float32)
+            ),
+            kernel_input(slope.astype(np.float32)),
             float(self.step),
             (float(self.lowest), float(self.saturation)),
             kernel_input(taps.valid & (self.bad == GOOD)),
