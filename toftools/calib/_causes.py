@@ -11,7 +11,7 @@ from toftools.types import F64
 CAUSES = ("offset", "temperature", "cyclic", "amplitude", "pattern", "unexplained")
 """From the one with the least freedom to that with the most."""
 NEARLY = 0.8
-HARMONICS = 4
+HARMONICS = 12
 AMPLITUDE_BINS = 12
 LEAST_SPAN_K = 1.0
 """Captures whose temperatures lie closer together than this say nothing about drift."""

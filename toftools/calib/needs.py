@@ -24,11 +24,28 @@ class Need:
         What to capture, as a sentence for people.
     after : tuple of str
         Earlier stages whose errors would go into this one if they were left out.
+    beside : tuple of str
+        Kinds that the fit takes a reference from, beside its source.
     """
 
     sources: tuple[tuple[int, *tuple[str, ...]], ...]
     ask: str
     after: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+
+    def taken(self, captures: Sequence[Capture]) -> tuple[Capture, ...]:
+        """Captures of the best source with enough of them, and those beside it; none if none."""
+        for least, *kinds in self.sources:
+            if sum(conditions_of(c).kind in kinds for c in captures) >= least:
+                wanted = (*kinds, *self.beside)
+                return tuple(c for c in captures if conditions_of(c).kind in wanted)
+        return ()
+
+    def most(self, captures: Sequence[Capture]) -> tuple[Capture, ...]:
+        """Captures of the source with most of them."""
+        kinds = [kinds for _, *kinds in self.sources]
+        sets = [tuple(c for c in captures if conditions_of(c).kind in some) for some in kinds]
+        return max(sets, key=len, default=())
 
 
 NEEDS: Mapping[str, Need] = {
@@ -65,10 +82,11 @@ NEEDS: Mapping[str, Need] = {
         ("lens", "wiggling", "common_phase", "fixed_pattern"),
     ),
     "temperature": Need(
-        ((3, "warmup"),),
+        ((4, "warmup"),),
         "capture a plane at a known distance while the camera warms up, with the temperatures of "
         "sensor and light (kind warmup)",
         ("wiggling", "common_phase", "fixed_pattern"),
+        ("wall",),
     ),
     "extrinsics": Need(
         (),
@@ -98,14 +116,10 @@ def for_stage(slot: str, captures: Sequence[Capture]) -> tuple[Capture, ...]:
     ValueError
         If none is of a kind that it uses.
     """
-    sources = NEEDS[slot].sources
-    for least, *kinds in sources:
-        mine = tuple(c for c in captures if conditions_of(c).kind in kinds)
-        if len(mine) >= least:
-            return mine
-    usable = list(dict.fromkeys(kind for _, *kinds in sources for kind in kinds))
-    mine = tuple(c for c in captures if conditions_of(c).kind in usable)
-    if sources and not mine:
+    need = NEEDS[slot]
+    mine = need.taken(captures) or need.most(captures)
+    if need.sources and not mine:
+        usable = dict.fromkeys(kind for _, *kinds in need.sources for kind in kinds)
         msg = f"{slot} is fitted from the kinds {', '.join(usable)}, got {counted(captures)}"
         raise ValueError(msg)
     return mine or tuple(captures)

@@ -1,12 +1,11 @@
 """Which stages a set of captures allows, in which order, and what is missing for the others."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from toftools.calib.needs import NEEDS, slot_of
 from toftools.calib.stage import SLOTS
-from toftools.conditions import conditions_of, name_of
+from toftools.conditions import conditions_of
 from toftools.registry import CALIBRATIONS
 from toftools.types import Capture
 
@@ -105,13 +104,10 @@ def plan(
 
 def _step(slot: str, entry: str, captures: Sequence[Capture]) -> Step:
     need = NEEDS[slot]
-    most: tuple[Capture, ...] = ()
-    for least, *kinds in need.sources:
-        mine = tuple(c for c in captures if conditions_of(c).kind in kinds)
-        if len(mine) >= least and (entry != slot or slot in CALIBRATIONS):
-            return Step(slot, entry, mine)
-        most = max(most, mine, key=len)
-    if most and len(most) >= need.sources[0][0]:
+    mine, most = need.taken(captures), need.most(captures)
+    if mine and (entry != slot or slot in CALIBRATIONS):
+        return Step(slot, entry, mine)
+    if mine:
         return Step(slot, entry, reason=f"this toftools has no fit named {entry}")
     if not need.sources:
         return Step(slot, entry, reason=need.ask)
@@ -158,30 +154,3 @@ def held_out(
 
 def _count(captures: Sequence[Capture]) -> str:
     return "1 capture" if len(captures) == 1 else f"{len(captures)} captures"
-
-
-def check_temperatures(captures: Sequence[Capture], slots: Sequence[str]) -> None:
-    """Refuse captures that will need a temperature and do not say any.
-
-    Parameters
-    ----------
-    captures : sequence of Capture
-        Captures to be corrected by a chain.
-    slots : sequence of str
-        Its slots.
-
-    Raises
-    ------
-    ValueError
-        If one says neither temperature, by name.
-    """
-    if "temperature" not in slots:
-        return
-    for capture in captures:
-        told = conditions_of(capture)
-        if math.isnan(told.sensor_c) and math.isnan(told.light_c):
-            msg = (
-                f"{name_of(capture)} says no temperature, which the temperature stage needs; fill "
-                "in sensor_c and light_c, or leave the stage out with --skip temperature"
-            )
-            raise ValueError(msg)

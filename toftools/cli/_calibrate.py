@@ -12,7 +12,7 @@ from toftools import registry
 from toftools.calib.chain import Chain, chain_for, extended
 from toftools.calib.fit import Outcome, check_frame, fit_plan, fit_stage, refuse_calibrated
 from toftools.calib.needs import counted, for_stage, missing_before, slot_of
-from toftools.calib.plan import Plan, Step, check_temperatures, plan
+from toftools.calib.plan import Plan, Step, plan
 from toftools.calib.residuals import same_sensor
 from toftools.calib.store import load_chain, save_chain
 from toftools.calib.verdict import Verdict, verdict
@@ -222,12 +222,12 @@ def _labelled(job: Job, file: Path, told: Conditions | None, kind: str) -> Captu
 
 def _params(job: Job) -> dict[str, dict[str, Any]]:
     """Parameters by slot that options of their own set."""
-    return {} if job.board is None else {"lens": {"board": job.board}}
+    given = {} if job.board is None else {"board": job.board}
+    return {"lens": given, "extrinsics": given}
 
 
 def _check_held_out(made: Plan) -> None:
     """Refuse held-out captures that the verdict will stumble over, before the fits."""
-    check_temperatures(made.held_out, [step.slot for step in made.steps if not step.reason])
     for capture in made.held_out:
         if not conditions_of(capture).known and conditions_of(capture).reference == "plane":
             msg = (
@@ -272,8 +272,13 @@ def _verdict_data(judged: Verdict) -> dict[str, Any]:
         "word": judged.word,
         "sentence": judged.sentence,
         "advice": list(judged.advice),
-        "before": [vars(score) for score in judged.before],
-        "after": [vars(score) for score in judged.after],
+        "before": [_plain(score) for score in judged.before],
+        "after": [_plain(score) for score in judged.after],
         "causes_mm": dict(judged.causes_mm),
-        "captures": [vars(spot) for spot in judged.spots],
+        "captures": [_plain(spot) for spot in judged.spots],
     }
+
+
+def _plain(value: object) -> dict[str, Any]:
+    """Fields of a record; None for what is not a number, which JSON does not know."""
+    return {k: None if isinstance(v, float) and v != v else v for k, v in vars(value).items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,12 @@ FACTORY = getattr(registry, "FACTORY", {})
 OVERRIDES = ("kind", "distance_m", "delay_s", "sensor_c", "light_c", "exposure", "reference")
 
 
+NAMES = f"\n{' ' * 23}".join(textwrap.wrap(", ".join(CALIBRATIONS), 76))
 EPILOG = f"""\b
 STAGE is one of
   all DIR              every stage that the captures in DIR allow, and a verdict
   NAME[:key=val,...]   one stage, added to what --out or --from holds already:
-                       {", ".join(CALIBRATIONS)}
+                       {NAMES}
   mypkg.mine:make      a stage of your own
   factory:NAME PATH    the tables that a vendor stored: {", ".join(FACTORY)}
 
@@ -31,7 +33,7 @@ options below say the same. docs/methods.md lists the keys of each stage.
 \b
 Examples:
   toftools calibrate all rig/ --out cal.json --report cal.html
-  toftools calibrate lens boards/*.h5 --board chessboard:columns=9,rows=6,square_mm=30 --out cal.json
+  toftools calibrate lens boards/*.h5 --board chessboard:columns=8,rows=5,square_m=0.03 --out cal.json
   toftools calibrate fixed_pattern wall.h5 --kind wall --distance-m 2.0 --out cal.json
 """  # noqa: E501 - an example must fit one line
 

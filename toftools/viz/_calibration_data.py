@@ -113,8 +113,7 @@ def error_maps_mm(chain: Chain, capture: Capture) -> F64:
     ndarray, (F, H, W)
         Measured minus true range, mm; NaN where unusable.
     """
-    stage = chain.stage("temperature")
-    told = capture.provenance.get("conditions", {})
-    if stage is not None and not all(key in told for key in ("sensor_c", "light_c")):
+    needs = getattr(chain.stage("temperature"), "needs", ())
+    if not set(needs) <= set(capture.provenance.get("conditions", {})):
         chain = skipping(chain, ["temperature"])
     return 1e3 * range_error_m(applied(chain, capture))

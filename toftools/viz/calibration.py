@@ -157,8 +157,9 @@ def distance_png(
     ax.plot(x, before_mm[order], "s--", ms=4, lw=1, color=BEFORE, label="before")
     ax.plot(x, after_mm[order], "o-", ms=4, lw=1.2, color=AFTER, label="after")
     ax.set_yscale("log")
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
     _labels(ax, "Held-out captures", "distance along the axis, m", "range error, mm rms")
@@ -166,7 +167,7 @@ def distance_png(
     return _png(figure)
 
 
-def lens_png(corners_px: F64, errors_px: F64, kept: Sequence[bool], size: tuple[int, int]) -> bytes:
+def lens_png(corners_px: F64, errors_px: F64, size: tuple[int, int]) -> bytes:
     """Where the corners of all boards fell, and the reprojection error of every view.
 
     Parameters
@@ -175,8 +176,6 @@ def lens_png(corners_px: F64, errors_px: F64, kept: Sequence[bool], size: tuple[
         Corners of all views, px.
     errors_px : ndarray, (V,)
         Root mean square reprojection error of each view, px.
-    kept : sequence of bool
-        Whether a view took part in the fit.
     size : tuple of int
         Width and height of the image, px.
 
@@ -186,15 +185,11 @@ def lens_png(corners_px: F64, errors_px: F64, kept: Sequence[bool], size: tuple[
         PNG.
     """
     figure, (left, right) = _figure(2, 3.2)
-    if len(corners_px):
-        left.plot(corners_px[:, 0], corners_px[:, 1], ".", ms=2, color=AFTER, alpha=0.7)
+    left.plot(corners_px[:, 0], corners_px[:, 1], ".", ms=2, color=AFTER, alpha=0.7)
     left.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
     _labels(left, "Coverage: corners of all boards", "column, px", "row, px")
-    number = np.arange(1, len(errors_px) + 1)
-    color = [AFTER if one else BEFORE for one in kept]
-    right.bar(number, errors_px, color=color)
-    name = "view" if all(kept) else "view (orange: not in the fit)"
-    _labels(right, "Reprojection error per view", name, "px rms")
+    right.bar(np.arange(1, len(errors_px) + 1), errors_px, color=AFTER)
+    _labels(right, "Reprojection error", "view", "px rms")
     return _png(figure)
 
 

@@ -14,7 +14,7 @@ from toftools.calib.fit import Outcome
 from toftools.calib.verdict import GOOD, Verdict
 from toftools.types import Capture
 from toftools.viz._calibration_data import Sample, error_maps_mm, samples
-from toftools.viz.calibration import Course, Cyclic, course_png, cyclic_png, distance_png
+from toftools.viz.calibration import Course, Cyclic, course_png, cyclic_png, distance_png, lens_png
 from toftools.viz.figures import maps_png
 
 _TEMPLATE = Path(__file__).with_name("calibration.html.j2")
@@ -197,7 +197,17 @@ def _without_and_with(
 
 
 def _lens(chain: Chain, captures: Sequence[Capture]) -> Section:
-    return Section("Lens", "", ())
+    stage: Any = chain.stage("lens")
+    camera = stage.camera
+    png = lens_png(stage.corners_px, stage.view_rms_px, (camera.width, camera.height))
+    worst = int(np.argmax(stage.view_rms_px))
+    names = zip(stage.names, [*camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.dist], strict=False)
+    numbers = [f"{name} {value:.5g} ± {sd:.2g}" for (name, value), sd in
+               zip(names, stage.sigma, strict=False)]  # fmt: skip
+    left_out = f" Left out: {', '.join(stage.rejected)}." if stage.rejected else ""
+    text = f"{len(stage.views)} views. {', '.join(numbers)} (px for the first four).{left_out}"
+    caption = f"The worst view is {worst + 1}, {stage.views[worst]}."
+    return Section("Lens", text, (_picture(png, "coverage and errors of the lens", caption),))
 
 
 def _wiggling(chain: Chain, captures: Sequence[Capture]) -> Section:
@@ -243,6 +253,7 @@ def _amplitude(chain: Chain, captures: Sequence[Capture]) -> Section:
 
 
 def _temperature(chain: Chain, captures: Sequence[Capture]) -> Section:
+    captures = [c for c in captures if c.provenance["conditions"]["kind"] == "warmup"]
     first, last = _without_and_with(chain, "temperature", captures)
     figures = []
     for name, words in (("sensor_c", "sensor"), ("light_c", "light")):
