@@ -186,6 +186,9 @@ CALIBRATIONS = _table(
     wiggling_lut=Spec("toftools.calib.wiggling_lut:wiggling_lut", grid={"knots": (16, 32, 0)}),
     common_phase=Spec("toftools.calib.common_phase:common_phase"),
     fixed_pattern=Spec("toftools.calib.fixed_pattern:fixed_pattern"),
+    amplitude=Spec("toftools.calib.amplitude:amplitude"),
+    temperature=Spec("toftools.calib.temperature:temperature"),
+    extrinsics=Spec("toftools.calib.extrinsics:extrinsics"),
 )
 CORRECTIONS = _table(
     single=Spec("toftools.correct.single:single"),
