@@ -217,4 +217,4 @@ def _capture_variance(weight: F64, rest: F64, n: int) -> float:
     mean = (weight * rest).sum(axis=1)[used] / total[used]
     freedom = max(1, mean.size - min(n, mean.size - 1))
     excess = float((mean**2).sum() - (1 / total[used]).sum())
-    return max(0.0, excess / freedom)
+    return float(max(0.0, excess / freedom))

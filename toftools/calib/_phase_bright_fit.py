@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from toftools.calib._choice import smallest
+from toftools.calib._phase_apply import rad_per_mm
 from toftools.calib._phase_bright import Samples, losses, normal, robust, solved, without
-from toftools.calib._phase_errors import around_centre, error_and_sigma, rad_per_mm
+from toftools.calib._phase_errors import around_centre, error_and_sigma
 from toftools.calib._phase_surface import design
 from toftools.conditions import conditions_of, expected_range_m, name_of
 from toftools.phasor import phasors_of
@@ -16,7 +17,7 @@ from toftools.units import TWO_PI, range_to_phase
 
 SHAPES = ((2, 1), (3, 1), (4, 1), (6, 1), (2, 4), (3, 4), (4, 4), (4, 6), (6, 6), (6, 8))
 """Numbers of functions over log amplitude and over phase, from small to large."""
-MOST_PIXELS, MOST_SAMPLES, LEAST_PIXELS = 3000, 60_000, 300
+MOST_PIXELS, MOST_SAMPLES, LEAST_PIXELS = 3000, 60_000, 400
 LEAST_CAPTURES = 3
 LEAST_CONTRAST = 1.5
 """Ratio of the brightest to the darkest tenth below which there is nothing to fit."""

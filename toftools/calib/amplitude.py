@@ -17,10 +17,12 @@ from typing import ClassVar
 import numpy as np
 
 from toftools._arrays import expect_shape, frozen, set_fields
+from toftools.calib._phase_apply import check_freqs, residual_in_mm, rotated
 from toftools.calib._phase_bright_fit import fit_surface, samples_of
-from toftools.calib._phase_errors import check_freqs, picked, residual_in_mm, rotated
+from toftools.calib._phase_errors import picked
 from toftools.calib._phase_surface import design, surface
 from toftools.calib.stage import Residual
+from toftools.phasor import phasors_of
 from toftools.types import F64, Capture, Phasors
 
 
@@ -171,8 +173,10 @@ def amplitude(captures: Sequence[Capture]) -> Amplitude:
     used = picked(captures, "amplitude", ("gray", "wall", "rail"))
     data = samples_of(used)
     fit = fit_surface(data)
+    told = all(phasors_of(capture).sigma is not None for capture in used)
+    sigma = data.sigma_rad if told else None
     residual = residual_in_mm(
-        data.freqs_hz, fit.before_rad, fit.after_rad, fit.held_out_rad, data.sigma_rad, fit.notes
+        data.freqs_hz, fit.before_rad, fit.after_rad, fit.held_out_rad, sigma, fit.notes
     )
     spans = np.stack([samples.span for samples in data.samples])
     return Amplitude(fit.knot_rad, fit.covariance_rad2, spans, fit.reference_amplitude, residual)

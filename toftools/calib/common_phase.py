@@ -18,19 +18,8 @@ from typing import ClassVar
 import numpy as np
 
 from toftools._arrays import expect_shape, frozen, set_fields
-from toftools.calib._phase_errors import (
-    MAD_TO_SIGMA,
-    Errors,
-    check_freqs,
-    errors_of,
-    inliers,
-    mhz,
-    picked,
-    rad_per_mm,
-    residual_in_mm,
-    rotated,
-    to_mm,
-)
+from toftools.calib._phase_apply import check_freqs, mhz, rad_per_mm, residual_in_mm, rotated, to_mm
+from toftools.calib._phase_errors import MAD_TO_SIGMA, Errors, errors_of, inliers, picked
 from toftools.calib._phase_pixels import two_way
 from toftools.calib.stage import Residual
 from toftools.conditions import conditions_of
@@ -162,7 +151,7 @@ def common_phase(captures: Sequence[Capture]) -> CommonPhase:
         kept,
         kept - phase[:, None, None],
         held,
-        errors.sigma_rad,
+        errors.sigma_rad if errors.told else None,
         _notes(errors, means - phase, temperatures),
     )
     return CommonPhase(phase, sigma, _mean_c(temperatures), residual)

@@ -18,15 +18,8 @@ import numpy as np
 
 from toftools._arrays import expect_shape, frozen, set_fields
 from toftools.calib import _phase_tilt
-from toftools.calib._phase_errors import (
-    Errors,
-    check_freqs,
-    errors_of,
-    picked,
-    residual_in_mm,
-    rotated,
-    to_mm,
-)
+from toftools.calib._phase_apply import check_freqs, residual_in_mm, rotated, to_mm
+from toftools.calib._phase_errors import Errors, errors_of, picked
 from toftools.calib._phase_pixels import TwoWay, two_way
 from toftools.calib.stage import Residual
 from toftools.conditions import conditions_of, expected_range_m
@@ -161,7 +154,7 @@ def fixed_pattern(captures: Sequence[Capture], *, tilt: bool = False) -> FixedPa
         before,
         before - pattern,
         _left_out(before, fit.weight) if len(used) > 1 else None,
-        errors.sigma_rad,
+        errors.sigma_rad if errors.told else None,
         notes,
     )
     return FixedPattern(pattern, sigma, residual)

@@ -18,11 +18,13 @@ from typing import ClassVar
 import numpy as np
 
 from toftools._arrays import expect_shape, frozen, set_fields
+from toftools.calib._phase_apply import check_freqs, rad_per_mm, residual_in_mm, rotated
 from toftools.calib._phase_drift import Drift, fitted
-from toftools.calib._phase_errors import check_freqs, picked, rad_per_mm, residual_in_mm, rotated
+from toftools.calib._phase_errors import picked
 from toftools.calib._phase_frames import WHICH, frames_of
 from toftools.calib.stage import Residual
 from toftools.conditions import conditions_of
+from toftools.phasor import phasors_of
 from toftools.types import F64, Capture, Phasors
 
 BEYOND_K = 1.0
@@ -217,6 +219,7 @@ def temperature(captures: Sequence[Capture]) -> Temperature:
     """
     used = picked(captures, "temperature", ("warmup",))
     frames = frames_of(used)
+    told = all(phasors_of(capture).sigma is not None for capture in used)
     drift = fitted(frames)
     reference, about = _reference(captures, drift, frames.celsius)
     needed = np.array([name in drift.needs for name in WHICH])
@@ -226,7 +229,7 @@ def temperature(captures: Sequence[Capture]) -> Temperature:
         drift.before_rad,
         drift.after_rad,
         drift.held_out_rad,
-        frames.sigma_rad,
+        frames.sigma_rad if told else None,
         [*drift.notes, *about, *_lag(drift, frames.freqs_hz)],
     )
     return Temperature(
