@@ -22,7 +22,7 @@ BINS = 64
 """Parts of the turn that have data or not."""
 PULL = 1e-2
 """Where the turn has no data, the curve is drawn to 0 with this weight relative to data."""
-HUBER, CUT = 1.5, 6.0
+HUBER, CUT = 2.5, 6.0
 """Errors beyond HUBER deviations count linearly, beyond CUT not at all."""
 
 
@@ -108,6 +108,9 @@ def fitted(samples: Samples, family: Family, *, noisy_phase: bool) -> Fitted:
     after = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
     for _ in range(2 if noisy_phase and size else 0):
         still = replace(samples, phase_rad=_noiseless(samples, weight, columns, theta))
+        rest = leftover(still, weight, _curve(columns, theta, still.phase_rad))
+        # Weights that see the noise through the bend of the curve would not be fair to both signs.
+        _, weight = _trimmed(samples, rest)
         grams, pull, theta = _solved(still, columns, seen, weight, kept)
     sigma = samples.sigma_rad
     return Fitted(
@@ -153,11 +156,16 @@ def robust_weights(samples: Samples, columns: Columns, seen: Bool) -> tuple[F64,
     for _ in range(5):
         _, _, theta = _solved(samples, columns, seen, weight, kept)
         rest = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
-        away = np.abs(rest) * np.sqrt(samples.weight)
-        usual = 1.4826 * float(np.median(away[samples.weight > 0])) + 1e-12
-        kept = np.where(away < CUT * usual, samples.weight, 0)
-        weight = kept * np.minimum(1, HUBER * usual / np.maximum(away, 1e-300))
+        kept, weight = _trimmed(samples, rest)
     return kept, weight
+
+
+def _trimmed(samples: Samples, rest: F64) -> tuple[F64, F64]:
+    """Weights without and with Huber's factor, from what a fit leaves."""
+    away = np.abs(rest) * np.sqrt(samples.weight)
+    usual = 1.4826 * float(np.median(away[samples.weight > 0])) + 1e-12
+    kept = np.where(away < CUT * usual, samples.weight, 0)
+    return kept, kept * np.minimum(1, HUBER * usual / np.maximum(away, 1e-300))
 
 
 def penalty(columns: Columns, seen: Bool, weight: float) -> F64:

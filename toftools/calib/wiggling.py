@@ -28,8 +28,8 @@ from toftools.calib.stage import Residual
 from toftools.types import F64, Bool, Capture, Phasors
 from toftools.units import TWO_PI
 
-MOST_HARMONICS = 12
-"""Orders to choose from: with square waves order 12 still moves phase by 2 mrad."""
+MOST_HARMONICS = 16
+"""Orders to choose from: with square waves and four taps order 12 still moves phase by 4 mrad."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ phase 0; the knots add up to 0, a constant belongs to the common phase. 16 knots
 calibration of Texas Instruments' cameras stores (3dtof/calibwizard: 4096 codes of phase in steps of
 256).
 
-Inputs as for `toftools.calib.wiggling`. Fails to follow what bends between knots: of the wiggling of
-square waves and four taps (orders 4, 8, 12; 50.9 mrad rms) 16 knots leave 12.5 mrad, 32 knots 2.1
-and a Fourier series 0.6 (its noise). Its slope jumps at the knots, and sigma with it. Knots where
-the turn has no data are drawn towards 0.
+Inputs as for `toftools.calib.wiggling`. Fails to follow what bends between knots: of the wiggling
+of square waves and four taps (orders 4, 8, 12; 50.9 mrad rms) 16 knots leave 12.5 mrad, 32 knots
+2.1 and a Fourier series 0.6 (its noise). Its slope jumps at the knots, and sigma with it. Knots
+where the turn has no data are drawn towards 0.
 """
 
 from collections.abc import Sequence
