@@ -23,6 +23,8 @@ from toftools.types import F64, Camera
 
 FOLDS = 5
 LEAST_SIGMA_PX = 1e-3
+STRAY = 5.0
+"""Standard deviations from which a corner is taken for a wrong find."""
 SUSPECT = 2.0
 """Views held out that miss by this many times the noise speak against the intrinsics."""
 PARALLEL_DEG = 15.0
@@ -69,6 +71,29 @@ def scatter_px(camera: Camera, sights: Sequence[Sight], poses: Sequence[Pose]) -
         miss = seen_or_lost(camera, moved(pose, sight.board_m)) - sight.px
         variances.append(float(np.sum(miss**2)) / max(1, miss.size - 6))
     return max(LEAST_SIGMA_PX, float(np.sqrt(np.median(variances))))
+
+
+def without_strays(camera: Camera, sight: Sight, pose: Pose) -> Sight:
+    """Corners without those that lie far off where all the others say.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera.
+    sight : Sight
+        Corners of one view.
+    pose : Pose
+        Best pose of the board by a robust fit.
+
+    Returns
+    -------
+    Sight
+        The same object where nothing is wrong.
+    """
+    miss = np.linalg.norm(seen_or_lost(camera, moved(pose, sight.board_m)) - sight.px, axis=1)
+    # Half of the lengths of a normal scatter in the plane are below 1.18 sigma.
+    good = miss <= max(LEAST_SIGMA_PX, STRAY / 1.18 * float(np.median(miss)))
+    return sight if good.all() else Sight(sight.board_m[good], sight.px[good])
 
 
 def foretold_px(

@@ -18,7 +18,7 @@ import numpy as np
 
 from toftools._arrays import F64, expect_shape, frozen, set_fields
 from toftools.calib._pairing import found_pairs, matched, pictures
-from toftools.calib._poses import board_poses
+from toftools.calib._poses import Pose, board_poses
 from toftools.calib._stereo import Fit, Pair, consensus, refined
 from toftools.calib._stereo_checks import (
     few,
@@ -28,6 +28,7 @@ from toftools.calib._stereo_checks import (
     notes_on,
     rms_px,
     scatter_px,
+    without_strays,
 )
 from toftools.calib.board import DEFAULT, parse_board
 from toftools.calib.residuals import same_sensor
@@ -213,12 +214,10 @@ def extrinsics_of_pairs(
     ValueError
         If no view fixes the pose of its board.
     """
-    options = [
-        (board_poses(cameras[0], pair.tof), board_poses(cameras[1], pair.colour)) for pair in pairs
-    ]
-    lost = [p.name for p, (tof, col) in zip(pairs, options, strict=True) if not (tof and col)]
-    pairs = [p for p in pairs if p.name not in lost]
-    options = [(tof, col) for tof, col in options if tof and col]
+    seen = [_cleaned(cameras, pair) for pair in pairs]
+    lost = [pair.name for pair, tof, colour in seen if not (tof and colour)]
+    pairs = [pair for pair, tof, colour in seen if tof and colour]
+    options = [(tof, colour) for _, tof, colour in seen if tof and colour]
     if not pairs:
         msg = f"the corners of {few(lost)} fix no board pose; check the intrinsics and the board"
         raise ValueError(msg)
@@ -237,6 +236,17 @@ def extrinsics_of_pairs(
     return _stage(pairs, cameras, fit, boards, sigma_px, (*outliers, *lost), notes)
 
 
+def _cleaned(cameras: tuple[Camera, Camera], pair: Pair) -> tuple[Pair, list[Pose], list[Pose]]:
+    """A view without stray corners, and the poses of its board in both cameras."""
+    sights, options = [], []
+    for camera, sight in zip(cameras, (pair.tof, pair.colour), strict=True):
+        poses = board_poses(camera, sight)
+        better = without_strays(camera, sight, poses[0]) if poses else sight
+        options.append(poses if better is sight else board_poses(camera, better))
+        sights.append(better)
+    return Pair(pair.name, *sights), options[0], options[1]
+
+
 def _agreeing(fit: Fit, sigma_px: tuple[float, float]) -> list[bool]:
     """Which views fit about as well as the median view."""
     scores = [
@@ -251,7 +261,7 @@ def _stage(
     pairs: Sequence[Pair],
     cameras: tuple[Camera, Camera],
     fit: Fit,
-    boards: Sequence[tuple[F64, F64]],
+    boards: Sequence[Pose],
     sigma_px: tuple[float, float],
     outliers: tuple[str, ...],
     notes: tuple[str, ...],
