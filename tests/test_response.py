@@ -220,8 +220,9 @@ def twin(taps, offset, inverse_gain, curve, step, limits, valid):
     out, good = taps.copy(), valid.copy()
     for t, y, x in np.ndindex(taps.shape):
         raw = float(taps[t, y, x])
-        if not (np.isfinite(raw) and limits[0] <= raw < limits[1]):
-            good[y, x] = False
+        inside = np.isfinite(raw) and limits[0] <= raw < limits[1]
+        good[y, x] &= inside and raw != limits[2]
+        if not inside:
             continue
         i = min(max(int(np.floor(raw / step)), 0), curve.size - 2)
         value = curve[i] + (raw / step - i) * (curve[i + 1] - curve[i])
@@ -232,13 +233,13 @@ def twin(taps, offset, inverse_gain, curve, step, limits, valid):
 def test_kernel_equals_its_slow_twin():
     rng = np.random.default_rng(3)
     taps = rng.uniform(-50, 1100, (6, 7, 9)).astype(np.float32)
-    taps[0, 0, 0], taps[3, 2, 2] = np.nan, np.inf
+    taps[0, 0, 0], taps[3, 2, 2], taps[1, 4, 4] = np.nan, np.inf, 500
     offset = rng.normal(20, 5, (2, 7, 9)).astype(np.float32)
     inverse = rng.uniform(0.9, 1.1, (2, 7, 9)).astype(np.float32)
     curve = np.cumsum(rng.uniform(5, 15, 65)).astype(np.float32)
     slope = (np.diff(curve) / 16).astype(np.float32)
     intercept = (curve[:-1] - slope * 16 * np.arange(64)).astype(np.float32)
-    rest = (16.0, (-40.0, 1080.0), rng.random((7, 9)) > 0.2)
+    rest = (16.0, (-40.0, 1080.0, 500.0), rng.random((7, 9)) > 0.2)
     got, good = linearise(taps, offset, inverse, intercept, slope, *rest)
     wanted, wanted_good = twin(taps, offset, inverse, curve, *rest)
     assert (good == wanted_good).all()

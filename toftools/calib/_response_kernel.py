@@ -17,7 +17,7 @@ def linearise(
     intercept: F32,
     slope: F32,
     step: float,
-    limits: tuple[float, float],
+    limits: tuple[float, float, float],
     valid: Bool,
 ) -> tuple[F32, Bool]:
     """Curve, dark level and gain of every tap, and which pixels keep all taps inside the limits.
@@ -32,8 +32,9 @@ def linearise(
         The curve as straight lines, one per `step` from 0 on; the ends go on.
     step : float
         Width of a line, raw units.
-    limits : tuple of 2 floats
-        Raw level below which, and from which on, a tap cannot be read.
+    limits : tuple of 3 floats
+        Raw level below which, and from which on, a tap cannot be read; and a code that means the
+        same, or NaN.
     valid : ndarray, (H, W), bool
         Pixels to be trusted.
 
@@ -48,6 +49,7 @@ def linearise(
     good = np.empty((height, width), np.bool_)
     scale = np.float32(1.0 / step)
     low, high = np.float32(max(limits[0], -MOST)), np.float32(min(limits[1], MOST))
+    lost = np.float32(limits[2])
     for y in prange(height):
         for x in range(width):
             good[y, x] = valid[y, x]
@@ -61,6 +63,6 @@ def linearise(
                 out[t, y, x] = value if inside else raw
             for x in range(width):
                 raw = taps[t, y, x]
-                if not (raw >= low and raw < high):
+                if not (raw >= low and raw < high and raw != lost):
                     good[y, x] = False
     return out, good

@@ -67,6 +67,8 @@ class Response:
         Raw level from which on a tap is saturated; infinite if none was seen.
     lowest : float
         Raw level below which a tap is none.
+    lost : float
+        Raw code that stands for a saturated tap; NaN if there is none.
     dn_per_e, dn_per_e_sd : float
         Conversion gain, unit of linear taps per electron; NaN if unknown.
     read_e, read_e_sd : float
@@ -88,6 +90,7 @@ class Response:
     terms_sd: F64
     saturation: float = float("inf")
     lowest: float = float("-inf")
+    lost: float = NAN
     dn_per_e: float = NAN
     dn_per_e_sd: float = NAN
     read_e: float = NAN
@@ -154,7 +157,7 @@ class Response:
             ),
             kernel_input(slope.astype(np.float32)),
             float(self.step),
-            (float(self.lowest), float(self.saturation)),
+            (float(self.lowest), float(self.saturation), float(self.lost)),
             kernel_input(taps.valid & (self.bad == GOOD)),
         )
         return Taps(values.reshape(taps.values.shape), taps.unit, good)
