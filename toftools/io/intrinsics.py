@@ -207,7 +207,7 @@ def read_intrinsics(path: Path | str) -> Camera:
         read = json.loads if text.lstrip().startswith("{") else _yaml_values
         return _camera_of(read(text))
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
-        detail = " ".join(str(error).split())[:300]
+        detail = " ".join(str(error).split())[:250]
         msg = f"{path.name} holds no readable camera intrinsics: {detail}"
         raise ValueError(msg) from error
 
