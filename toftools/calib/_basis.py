@@ -129,7 +129,7 @@ def _local(
     place = phase * (knots / TWO_PI)
     cell = np.floor(place)
     t = place - cell
-    left = cell.astype(np.intp) - (degree - 1) // 2
+    left = np.nan_to_num(cell).astype(np.intp) - (degree - 1) // 2  # NaN stays in the weights
     if degree == 1:
         rate = np.full_like(t, knots / TWO_PI)
         return left, (-rate, rate) if slope else (1 - t, t)

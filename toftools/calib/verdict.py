@@ -70,6 +70,12 @@ ADVICE: Mapping[str, str] = {
 """What to do about a cause."""
 
 
+NO_LENS = (
+    "There is no lens stage: where the nominal optics are wrong, planes bend and tilted ones read "
+    "wrong most; capture a board and fit lens."
+)
+
+
 @dataclass(frozen=True)
 class Score:
     """Range errors of one frequency, or of all together.
@@ -189,7 +195,10 @@ def verdict(chain: Chain, captures: Sequence[Capture]) -> Verdict:
         word, advice = WORDS[cause], ADVICE[cause]
     sentence = _sentence(word, last, spots)
     causes = {name: math.sqrt(part) for name, part in parts.items()}
-    return Verdict(word, sentence, (advice,) if advice else (), before, after, causes, spots)
+    advices = (advice,) if advice else ()
+    if word in (WORDS["unexplained"], WORDS["pattern"]) and chain.stage("lens") is None:
+        advices = (NO_LENS, *advices)
+    return Verdict(word, sentence, advices, before, after, causes, spots)
 
 
 def _sentence(word: str, last: Score, spots: Sequence[Spot]) -> str:
