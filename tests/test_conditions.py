@@ -73,7 +73,7 @@ def test_what_is_written_reads_back_to_the_last_digit(folder):
 
 
 BAD = {
-    "unknown column": ("file,kind,distance\na.h5,wall,2", r"no column 'distance' to offer"),
+    "unknown column": ("file,kind,distance\na.h5,wall,2", r"there is no column 'distance'"),
     "semicolons": ("file;kind\na.h5;wall", r"separate columns by commas"),
     "no kind column": ("file,distance_m\na.h5,2", r"lacks the columns file and kind"),
     "column twice": ("file,kind,kind\na.h5,wall,wall", r"column kind twice"),

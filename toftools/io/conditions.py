@@ -8,13 +8,13 @@ believed, and every complaint names file and line.
 import csv
 import io
 import math
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from toftools.conditions import DEFAULTS, Conditions, conditions_of, with_conditions
+from toftools.io._labels import file_name, number, rows
 from toftools.io.atomic import atomic_path
 from toftools.io.native import is_capture
 from toftools.io.open import open_capture
@@ -22,11 +22,8 @@ from toftools.types import Capture
 
 NAME = "conditions.csv"
 COLUMNS = ("file", "kind", *DEFAULTS)
-MAX_BYTES = 1 << 23
-LONGEST_NAME = 255
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of capture files, which are found without a line in the table."""
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def read_conditions(
@@ -57,9 +54,9 @@ def read_conditions(
     folder = table.parent if home is None else Path(home)
     found: dict[str, Conditions] = {}
     lines: dict[str, int] = {}
-    for line, row in _rows(table):
+    for line, row in rows(table, COLUMNS):
         try:
-            name = _name(row.pop("file"))
+            name = file_name(row.pop("file"))
             if name in found:
                 msg = f"{name} has a line already, line {lines[name]}; every file has one"
                 raise ValueError(msg)
@@ -75,87 +72,6 @@ def read_conditions(
         msg = f"{table.name} names no file; wanted a line for each, such as wall.h5,wall"
         raise ValueError(msg)
     return found
-
-
-def _rows(table: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Lines of a table with their numbers, cells by the names of their columns."""
-    reader = csv.reader(io.StringIO(_text(table), newline=""), strict=True)
-    header: list[str] | None = None
-    try:
-        for cells in reader:
-            row = [cell.strip() for cell in cells]
-            if not any(row) or row[0].startswith("#"):
-                continue
-            if header is None:
-                header = _header(table.name, row)
-                continue
-            if any(row[len(header) :]):
-                msg = (
-                    f"{table.name}, line {reader.line_num}: got {len(row)} cells under "
-                    f"{len(header)} columns; write decimals with a point, quote names with commas"
-                )
-                raise ValueError(msg)
-            yield (
-                reader.line_num,
-                {**dict.fromkeys(header, ""), **dict(zip(header, row, strict=False))},
-            )
-    except csv.Error as error:
-        msg = f"{table.name}, line {reader.line_num}: {error}; wanted comma-separated text"
-        raise ValueError(msg) from error
-
-
-def _text(table: Path) -> str:
-    if not table.is_file():
-        msg = f"no such file: {table}; wanted a table with a line per recording, file,kind,..."
-        raise ValueError(msg)
-    try:
-        with table.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        msg = f"cannot read {table}: {error.strerror or error}; check its permissions"
-        raise ValueError(msg) from error
-    if len(data) > MAX_BYTES:
-        msg = f"{table.name} is longer than {MAX_BYTES >> 20} MiB; that is no table of conditions"
-        raise ValueError(msg)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        msg = f"{table.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8"
-        raise ValueError(msg) from error
-
-
-def _header(name: str, columns: list[str]) -> list[str]:
-    while columns and not columns[-1]:  # spreadsheets leave empty columns at the end
-        columns = columns[:-1]
-    twice = sorted({column for column in columns if columns.count(column) > 1})
-    unknown = [column for column in columns if column not in COLUMNS]
-    if unknown:
-        got = ascii(unknown[0][:60])
-        hint = "; separate columns by commas" if ";" in got or "\\t" in got else ""
-        msg = f"{name} has no column {got} to offer; known: {', '.join(COLUMNS)}{hint}"
-    elif twice:
-        msg = f"{name} has the column {twice[0]} twice; wanted it once"
-    elif not {"file", "kind"} <= set(columns):
-        msg = f"{name} lacks the columns file and kind; its first line was {','.join(columns)}"
-    else:
-        return columns
-    raise ValueError(msg)
-
-
-def _name(text: str) -> str:
-    """A file name inside the folder, slashes forward."""
-    name = PurePosixPath(text.replace("\\", "/"))
-    if not text or not name.parts:
-        msg = "the file has no name; fill in the column file"
-        raise ValueError(msg)
-    if not text.isprintable() or max(map(len, name.parts)) > LONGEST_NAME:
-        msg = f"{text[:60]!a} is no file name"
-        raise ValueError(msg)
-    if name.is_absolute() or ".." in name.parts or re.match("[A-Za-z]:", text):
-        msg = f"{text} lies outside of the folder; name files relative to it, without .."
-        raise ValueError(msg)
-    return str(name)
 
 
 def _there(path: Path) -> bool:
@@ -182,20 +98,13 @@ def _conditions(row: Mapping[str, str]) -> Conditions:
             if len(parts) != len(default):
                 msg = f"got {key} {text[:60]!a}; wanted three numbers joined by +: 0+0.1+-1"
                 raise ValueError(msg)
-            given[key] = tuple(_number(key, part) for part in parts)
+            given[key] = tuple(number(key, part) for part in parts)
         else:
-            given[key] = _number(key, text)
+            given[key] = number(key, text)
     if "kind" not in given:
         msg = "the kind is empty; say what the recording shows"
         raise ValueError(msg)
     return Conditions(**given)
-
-
-def _number(key: str, text: str) -> float:
-    if not _NUMBER.fullmatch(text.strip()):
-        msg = f"got {key} {text[:60]!a}; wanted a plain number such as 2.5, or nothing"
-        raise ValueError(msg)
-    return float(text)
 
 
 def write_conditions(folder_or_csv: Path | str, conditions: Mapping[str, Conditions]) -> Path:
@@ -220,15 +129,17 @@ def write_conditions(folder_or_csv: Path | str, conditions: Mapping[str, Conditi
     """
     table = Path(folder_or_csv)
     table = table / NAME if table.is_dir() else table
-    rows = [{"file": _name(name), **_cells(told)} for name, told in conditions.items()]
+    cells = [{"file": file_name(name), **_cells(told)} for name, told in conditions.items()]
     plain = _cells(Conditions("wall"))
     columns = [
-        key for key in COLUMNS if key in ("file", "kind") or any(r[key] != plain[key] for r in rows)
+        key
+        for key in COLUMNS
+        if key in ("file", "kind") or any(r[key] != plain[key] for r in cells)
     ]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([row[key] for key in columns] for row in rows)
+    writer.writerows([row[key] for key in columns] for row in cells)
     with atomic_path(table) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8", newline="")
     return table

@@ -6,23 +6,17 @@ from types import MappingProxyType
 
 import numpy as np
 
-from toftools.camera import project, rays_at
 from toftools.conditions import Conditions
-from toftools.sim._rig_errors import Unit, level_e
-from toftools.sim.target import FACING, Print, chessboard
-from toftools.types import F64, Camera
+from toftools.sim._rig_boards import CELLS, corners_m, pose_at
+from toftools.sim._rig_unit import Unit, level_e
+from toftools.sim.target import FACING
+from toftools.types import F64
 from toftools.units import ambiguity_m
 
 RAIL_M = (0.5, 5.5)
 """Where a rail begins, and where it ends at the latest."""
 TURNS = 1.1
 """Length of a rail in turns of the lowest frequency, where it is long enough."""
-BOARD = (8, 5, 0.03)
-"""Inner corners and square of the chessboard, m: that of `toftools.calib.board`."""
-WALL_BEHIND_M = 1.5
-STEEPEST_DEG = 40.0
-EDGE_PX = 1.5
-"""Corners of a board keep as far away from the edge of the image."""
 LAMP = (0.04, 0.08, 0.16, 0.32, 0.5, 0.7)
 """Exposures of the flats, share of the full well."""
 
@@ -246,65 +240,18 @@ def _check(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     return found
 
 
-def pattern() -> Print:
-    """The printed board of the rig."""
-    return chessboard(*BOARD)
-
-
 def _boards(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     """Views of the board: all parts of the image, tilts up to 40 degrees every way."""
     rng = np.random.default_rng((seed, 0))
     camera = unit.sensor.camera
-    cells = [(x, y) for y in (0.0, 0.5, 1.0) for x in (0.0, 0.5, 1.0)]
     found: list[Take] = []
     while len(found) < plan.boards:
-        for cell in rng.permutation(cells).tolist():
-            pose = _pose(camera, cell, rng)
+        for cell in rng.permutation(CELLS).tolist():
+            pose = pose_at(camera, cell, rng)
             z = float(pose[1] @ pose[0][:, 2] / pose[0][2, 2])  # where its plane meets the axis
             normal = tuple((-pose[0][:, 2]).tolist())
-            middle = float(np.linalg.norm(_corners(pose).mean(axis=0)))
+            middle = float(np.linalg.norm(corners_m(pose).mean(axis=0)))
             told = _told(unit, "board", middle, albedo=0.8)
             told = Conditions(**{**vars(told), "distance_m": z, "normal": normal})
             found.append(Take(_name("board", len(found)), told, pose=pose))
     return found[: plan.boards]
-
-
-def _pose(camera: Camera, cell: tuple[float, float], rng: np.random.Generator) -> tuple[F64, F64]:
-    """A board whose middle lies as near to a place of the image as all of it is seen."""
-    import cv2
-
-    turn, tilt = 2 * np.pi * rng.random(), np.radians(STEEPEST_DEG * rng.random() ** 0.5)
-    spin = np.radians(rng.uniform(-20, 20))
-    lean = cv2.Rodrigues(tilt * np.array([np.cos(turn), np.sin(turn), 0.0]))[0]
-    rotation = np.asarray(lean @ cv2.Rodrigues(np.array([0.0, 0.0, spin]))[0], dtype=np.float64)
-    width = (BOARD[0] + 1) * BOARD[2]
-    z = camera.K[0, 0] * width / (rng.uniform(0.45, 0.75) * camera.width)
-    size = np.array([camera.width - 1.0, camera.height - 1.0])
-    for _ in range(40):
-        for share in np.linspace(1, 0, 11):
-            u, v = size * (0.5 + share * (np.asarray(cell) - 0.5))
-            ray = rays_at(camera, np.array(u), np.array(v))
-            pose = rotation, ray * (z / ray[2]) - rotation @ _middle()
-            if _seen(camera, pose):
-                return pose
-        z *= 1.1
-    msg = "no board fits into this image; take a sensor of more pixels or a wider view"
-    raise ValueError(msg)
-
-
-def _middle() -> F64:
-    columns, rows, square = BOARD
-    return np.array([(columns + 1) * square / 2, (rows + 1) * square / 2, 0.0])
-
-
-def _corners(pose: tuple[F64, F64]) -> F64:
-    """Outer corners of the squares in the camera frame, m, (4, 3)."""
-    box = 2 * _middle() * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    return np.asarray(box @ pose[0].T + pose[1])
-
-
-def _seen(camera: Camera, pose: tuple[F64, F64]) -> bool:
-    u, v = project(camera, _corners(pose))
-    inside = (u >= EDGE_PX) & (v >= EDGE_PX)
-    inside &= (u <= camera.width - 1 - EDGE_PX) & (v <= camera.height - 1 - EDGE_PX)
-    return bool(inside.all())

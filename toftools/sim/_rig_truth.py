@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from toftools.phasor import demodulation_weights
-from toftools.sim._rig_errors import Errors, amplitude_error_rad, unit_of
+from toftools.sim._rig_errors import Errors
+from toftools.sim._rig_unit import amplitude_error_rad, unit_of
 from toftools.sim.shapes import C128
 from toftools.types import F64, Bool, Camera, Sensor
 from toftools.units import TWO_PI

@@ -19,13 +19,14 @@ import numpy as np
 
 from toftools.conditions import Conditions, with_conditions
 from toftools.phasor import demodulate, phase
+from toftools.sim._rig_boards import WALL_BEHIND_M, pattern
 from toftools.sim._rig_errors import FAULTLESS as FAULTLESS
 from toftools.sim._rig_errors import Errors as Errors
-from toftools.sim._rig_errors import Unit, unit_of
-from toftools.sim._rig_plan import PLANS, WALL_BEHIND_M, Plan, Take, pattern, takes
+from toftools.sim._rig_plan import PLANS, Plan, Take, takes
 from toftools.sim._rig_truth import RigTruth as RigTruth
 from toftools.sim._rig_truth import Wiggling as Wiggling
 from toftools.sim._rig_truth import truth_of as truth_of
+from toftools.sim._rig_unit import Unit, unit_of
 from toftools.sim.noise import clean_taps, contrasts
 from toftools.sim.readout import expose
 from toftools.sim.shapes import C128, Transport
