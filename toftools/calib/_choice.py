@@ -7,12 +7,12 @@ import numpy as np
 
 from toftools.calib._grams import (
     Columns,
-    Grams,
     held_out,
     jackknife_sd,
     leftover,
     products,
     solved,
+    total_only,
 )
 from toftools.calib._wiggling_data import Samples, covered
 from toftools.types import F64, Bool
@@ -103,20 +103,25 @@ def fitted(samples: Samples, family: Family, *, noisy_phase: bool) -> Fitted:
     seen = covered(samples, BINS)
     kept, weight = robust_weights(samples, family.sized(family.sizes[-1]), seen)
     size, unseen = _chosen(samples, family, seen, weight, kept)
-    columns = family.sized(size)
-    grams, pull, theta = _solved(samples, columns, seen, weight, kept)
+    columns, still = family.sized(size), samples
+    theta = _solved(samples, columns, seen, weight)
     after = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
     for _ in range(2 if noisy_phase and size else 0):
         still = replace(samples, phase_rad=_noiseless(samples, weight, columns, theta))
         rest = leftover(still, weight, _curve(columns, theta, still.phase_rad))
         # Weights that see the noise through the bend of the curve would not be fair to both signs.
         _, weight = _trimmed(samples, rest)
-        grams, pull, theta = _solved(still, columns, seen, weight, kept)
+        theta = _solved(still, columns, seen, weight)
+    grams, pull = (
+        products(still, columns, weight, kept),
+        penalty(columns, seen, float(weight.sum())),
+    )
+    k = pull.shape[0]
     sigma = samples.sigma_rad
     return Fitted(
         size=size,
-        theta=theta[: pull.shape[0]],
-        sd=jackknife_sd(grams, pull)[: pull.shape[0]],
+        theta=theta[:k],
+        sd=jackknife_sd(grams, pull)[:k],
         before=_mean_square(leftover(samples, weight, np.zeros_like(kept)), kept),
         after=_mean_square(after, kept),
         held_out=unseen,
@@ -154,7 +159,7 @@ def robust_weights(samples: Samples, columns: Columns, seen: Bool) -> tuple[F64,
     """
     kept = weight = samples.weight
     for _ in range(5):
-        _, _, theta = _solved(samples, columns, seen, weight, kept)
+        theta = _solved(samples, columns, seen, weight)
         rest = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
         kept, weight = _trimmed(samples, rest)
     return kept, weight
@@ -187,17 +192,15 @@ def penalty(columns: Columns, seen: Bool, weight: float) -> F64:
         times the weight that a part with data has on average.
     """
     count = seen.size
-    middles = (np.flatnonzero(~seen) + 0.5) * (TWO_PI / count)
+    middles = np.asarray((np.flatnonzero(~seen) + 0.5) * (TWO_PI / count), dtype=np.float64)
     rows = columns(middles)
     return np.asarray(rows.T @ rows * (PULL * weight / max(int(seen.sum()), 1)))
 
 
-def _solved(
-    samples: Samples, columns: Columns, seen: Bool, weight: F64, kept: F64
-) -> tuple[Grams, F64, F64]:
-    grams = products(samples, columns, weight, kept)
+def _solved(samples: Samples, columns: Columns, seen: Bool, weight: F64) -> F64:
+    """Coefficients, and the shared constant where there is one."""
     pull = penalty(columns, seen, float(weight.sum()))
-    return grams, pull, solved(grams, pull)
+    return solved(total_only(samples, columns, weight), pull)
 
 
 def _chosen(

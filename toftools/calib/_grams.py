@@ -50,7 +50,7 @@ class Grams:
 
 
 def products(samples: Samples, columns: Columns, weight: F64, loss_weight: F64) -> Grams:
-    """Normal equations of the samples.
+    """Normal equations of the samples, and of their parts.
 
     Parameters
     ----------
@@ -66,52 +66,69 @@ def products(samples: Samples, columns: Columns, weight: F64, loss_weight: F64) 
     Grams
         Products.
     """
-    if samples.by_capture:
-        means = _means(samples, columns, weight)
-        triples = list(_captures(samples, columns, weight, loss_weight, means))
-    else:
-        triples = list(_tiles(samples, columns, weight, loss_weight))
-    total, fit, loss, weights = (np.stack(part) for part in zip(*triples, strict=True))
+    sums = []
+    for rows, w, lever, where in _centred(samples, columns, weight):
+        v = np.where(lever > 0, loss_weight[where].ravel(), 0)
+        loss = rows.T @ (rows * (v * lever**2)[:, None])
+        total = rows.T @ (rows * w[:, None])
+        fit = rows.T @ (rows * (w * lever)[:, None]) if samples.by_capture else total
+        sums.append((total, fit, loss, v.sum()))
+    total, fit, loss, weights = (np.stack(part) for part in zip(*sums, strict=True))
     return Grams(total.sum(axis=0), fit, loss, weights, not samples.per_pixel)
 
 
-def _means(samples: Samples, columns: Columns, weight: F64) -> tuple[F64, F64]:
-    """Weighted mean of columns and error of every pixel, (P, K + 1), and its weight (P,)."""
+def total_only(samples: Samples, columns: Columns, weight: F64) -> F64:
+    """Normal equations of all samples, as `Grams.total`.
+
+    Parameters
+    ----------
+    samples : Samples
+        Measurements of one frequency.
+    columns : callable
+        Model.
+    weight : ndarray, (C, P)
+        Weights of the fit.
+
+    Returns
+    -------
+    ndarray, (N, N)
+        Products.
+    """
+    parts = _centred(samples, columns, weight)
+    return np.asarray(sum(rows.T @ (rows * w[:, None]) for rows, w, _, _ in parts))
+
+
+def _centred(
+    samples: Samples, columns: Columns, weight: F64
+) -> Iterator[tuple[F64, F64, F64, tuple[int | slice, slice]]]:
+    """Part by part: columns and error about the constants, weight, lever and where it lies."""
+    return (_captures if samples.by_capture else _tiles)(samples, columns, weight)
+
+
+def _captures(
+    samples: Samples, columns: Columns, weight: F64
+) -> Iterator[tuple[F64, F64, F64, tuple[int | slice, slice]]]:
+    """One capture after the other, pixels centred on their means."""
     sums: F64 | float = 0.0
     for phase, error, w in zip(samples.phase_rad, samples.error_rad, weight, strict=True):
         sums = sums + _rows(columns, phase, error) * w[:, None]
     total = weight.sum(axis=0)
-    return np.asarray(sums / np.maximum(total, 1e-300)[:, None]), total
-
-
-def _captures(
-    samples: Samples, columns: Columns, weight: F64, loss_weight: F64, means: tuple[F64, F64]
-) -> Iterator[tuple[F64, F64, F64, F64]]:
-    """Products of one capture after the other, pixels centred on their means."""
-    mean, total = means
-    for phase, error, w, v in zip(
-        samples.phase_rad, samples.error_rad, weight, loss_weight, strict=True
-    ):
-        rows = _rows(columns, phase, error) - mean
+    mean = sums / np.maximum(total, 1e-300)[:, None]
+    for c, w in enumerate(weight):
+        rows = _rows(columns, samples.phase_rad[c], samples.error_rad[c]) - mean
         rest = total - w
         alone = rest <= 1e-9 * total  # a pixel that only this capture shows says nothing
         lever = np.where(alone, 0, total / np.where(alone, 1, rest))
-        used = np.where(alone, 0, v)
-        yield (
-            rows.T @ (rows * w[:, None]),
-            rows.T @ (rows * (w * lever)[:, None]),
-            rows.T @ (rows * (used * lever**2)[:, None]),
-            used.sum(),
-        )
+        yield rows, w, lever, (c, slice(None))
 
 
 def _tiles(
-    samples: Samples, columns: Columns, weight: F64, loss_weight: F64
-) -> Iterator[tuple[F64, F64, F64, F64]]:
-    """Products of one block of pixels after the other."""
+    samples: Samples, columns: Columns, weight: F64
+) -> Iterator[tuple[F64, F64, F64, tuple[int | slice, slice]]]:
+    """One block of pixels after the other."""
     captures = samples.phase_rad.shape[0]
     for _, place in samples.parts:
-        w, v = weight[:, place], loss_weight[:, place].ravel()
+        w = weight[:, place]
         rows = _rows(columns, samples.phase_rad[:, place], samples.error_rad[:, place])
         if samples.per_pixel:
             pixels = rows.reshape(captures, -1, rows.shape[-1])
@@ -119,8 +136,7 @@ def _tiles(
             rows = (pixels - (pixels * w[..., None]).sum(axis=0) / total).reshape(rows.shape)
         else:
             rows = np.insert(rows, -1, 1.0, axis=1)
-        fit = rows.T @ (rows * w.ravel()[:, None])
-        yield fit, fit, rows.T @ (rows * v[:, None]), v.sum()
+        yield rows, w.ravel(), np.ones(w.size), (slice(None), place)
 
 
 def _rows(columns: Columns, phase: F64, error: F64) -> F64:
@@ -151,24 +167,21 @@ def leftover(samples: Samples, weight: F64, model: F64) -> F64:
     return np.asarray(rest - (rest * weight).sum(axis=axis, keepdims=True) / total)
 
 
-def solved(grams: Grams, pull: F64, left_out: int | None = None) -> F64:
+def solved(gram: F64, pull: F64) -> F64:
     """Coefficients of the model, and the shared constant where there is one.
 
     Parameters
     ----------
-    grams : Grams
-        Normal equations.
+    gram : ndarray, (N, N)
+        Normal equations, the error last.
     pull : ndarray, (K, K)
         Penalty of the columns.
-    left_out : int or None
-        A part not to use.
 
     Returns
     -------
-    ndarray, (K,) or (K + 1,)
+    ndarray, (N - 1,)
         Solution, rad.
     """
-    gram = grams.total if left_out is None else grams.total - grams.fit[left_out]
     matrix = gram[:-1, :-1].copy()
     k = pull.shape[0]
     matrix[:k, :k] += pull
@@ -194,7 +207,7 @@ def held_out(grams: Grams, pull: F64) -> F64:
     """
     errors = []
     for part, loss in enumerate(grams.loss):
-        probe = np.append(-solved(grams, pull, part), 1.0)
+        probe = np.append(-solved(grams.total - grams.fit[part], pull), 1.0)
         errors.append(max(float(probe @ loss @ probe), 0.0))
     return np.array(errors)
 
@@ -217,7 +230,7 @@ def jackknife_sd(grams: Grams, pull: F64) -> F64:
         Statistics 9 (1981) 586-596.
     """
     parts = grams.fit.shape[0]
-    solutions = np.stack([solved(grams, pull, part) for part in range(parts)])
+    solutions = np.stack([solved(grams.total - fit, pull) for fit in grams.fit])
     if parts < 2:
         return np.full(solutions.shape[1], np.nan)
     return np.asarray(np.sqrt((parts - 1) * solutions.var(axis=0)))
