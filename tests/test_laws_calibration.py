@@ -18,6 +18,7 @@ from toftools.sim.rig import Errors, rig
 from toftools.types import Phasors, Taps
 
 SMALL, LARGE = "opt8241:width=32,height=24", "opt8241:width=80,height=60"
+ODD = "opt8241:width=40,height=30"
 SECOND_CAMERA = ("extrinsics",)  # its pictures come from elsewhere: tests/test_extrinsics.py
 ENTRIES = [name for name in CALIBRATIONS if slot_of(name) not in SECOND_CAMERA]
 
@@ -153,8 +154,8 @@ def test_no_capture_is_refused(name):
 
 def resized(capture):
     """The same kind of capture from a camera of another size, and its name."""
-    other = next(c for _, c in rig(sensor("opt8241:width=40,height=30"), Errors())
-                 if conditions_of(c).kind == conditions_of(capture).kind)  # fmt: skip
+    kind = conditions_of(capture).kind
+    other = next(c for c in captures_of(ODD) if conditions_of(c).kind == kind)
     return with_conditions(other, conditions_of(capture), file="odd_one.h5")
 
 

@@ -45,7 +45,7 @@ class Cyclic:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Points of captures over one quantity, one frequency.
+    """Errors over one quantity, one frequency.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Course:
     x : ndarray, (N,)
         Quantity, such as the temperature of the sensor.
     before_mm, after_mm : ndarray, (N,)
-        Mean range error of each capture without and with the stage, mm.
+        Range error without and with the stage, mm.
     """
 
     title: str
@@ -100,8 +100,10 @@ def cyclic_png(panels: Sequence[Cyclic]) -> bytes:
     return _png(figure)
 
 
-def course_png(panels: Sequence[Course], name: str) -> bytes:
-    """Mean errors of captures over a quantity, before and after.
+def course_png(
+    panels: Sequence[Course], name: str, *, error: str = "mean range error, mm", log: bool = False
+) -> bytes:
+    """Errors over a quantity, before and after.
 
     Parameters
     ----------
@@ -109,6 +111,10 @@ def course_png(panels: Sequence[Course], name: str) -> bytes:
         One per frequency.
     name : str
         The quantity with its unit.
+    error : str
+        What is drawn over it.
+    log : bool
+        Whether the quantity is drawn on a logarithmic axis.
 
     Returns
     -------
@@ -123,7 +129,8 @@ def course_png(panels: Sequence[Course], name: str) -> bytes:
             (panel.after_mm, AFTER, "after"),
         ):
             ax.plot(panel.x[order], values[order], "o-", ms=4, lw=1, color=color, label=label)
-        _labels(ax, panel.title, name, "mean range error, mm")
+        _labels(ax, panel.title, name, error)
+        ax.set_xscale("log" if log else "linear")
         ax.legend(fontsize=8, frameon=False)
     return _png(figure)
 

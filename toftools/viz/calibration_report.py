@@ -248,7 +248,8 @@ def _amplitude(chain: Chain, captures: Sequence[Capture]) -> Section:
         x, (before, after) = first.binned(f, first.amplitude[f], last.error_mm[f])
         panels.append(Course(f"{freq / 1e6:g} MHz", x, before, after))
     text = "Range error over amplitude, medians of as many pixels each, all other stages applied."
-    png = course_png(panels, f"amplitude, {first.unit}")
+    name = f"amplitude, {first.unit}"
+    png = course_png(panels, name, error="median range error, mm", log=True)
     return Section("Amplitude", text, (_picture(png, "range error over amplitude", ""),))
 
 
