@@ -99,7 +99,7 @@ def samples_of(captures: Sequence[Capture]) -> Data:
     if len(captures) < LEAST_CAPTURES:
         msg = (
             f"amplitude needs {LEAST_CAPTURES} captures of several brightnesses or more, got "
-            f"{', '.join(name_of(capture) for capture in captures)}"
+            f"{len(captures)}"
         )
         raise ValueError(msg)
     size = captures[0].sensor.camera.width * captures[0].sensor.camera.height
@@ -115,7 +115,7 @@ def samples_of(captures: Sequence[Capture]) -> Data:
         parts.append(layers.reshape(4, freqs.size, -1)[..., grid])
     layers = np.stack(parts, axis=2)  # (4, F, K, P)
     samples = tuple(_samples(*layers[:, f]) for f in range(freqs.size))
-    _check_contrast(captures, samples)
+    _check_contrast(samples)
     return Data(
         tuple(name_of(capture) for capture in captures),
         tuple(conditions_of(capture).kind for capture in captures),
@@ -139,15 +139,15 @@ def _samples(error: F64, sigma: F64, level: F64, expected: F64) -> Samples:
     )
 
 
-def _check_contrast(captures: Sequence[Capture], samples: Sequence[Samples]) -> None:
+def _check_contrast(samples: Sequence[Samples]) -> None:
     least = np.inf
     for part in samples:
         low, high = np.percentile(part.amplitude[part.weight > 0], (10, 90))
         least = min(least, high / low)
     if least < LEAST_CONTRAST:
         msg = (
-            f"captures from {name_of(captures[0])} to {name_of(captures[-1])} differ in amplitude "
-            f"by a factor of {least:.2f}, wanted {LEAST_CONTRAST:g} or more: add darker targets"
+            f"the captures for amplitude differ in brightness by a factor of {least:.2f} only, "
+            f"wanted {LEAST_CONTRAST:g} or more: add darker targets"
         )
         raise ValueError(msg)
 

@@ -70,7 +70,7 @@ def fitted(frames: Frames) -> Drift:
     models, notes = _models(frames.celsius)
     parts = _parts(frames)
     held = [_held_out(frames, model, parts) for model in models]
-    scale = np.array([_spread(column) for column in _fit(frames, models[-1])[2].T])
+    scale = _spreads(frames, _fit(frames, models[-1])[2], models[-1])
     used = np.unique(parts)
     # Outliers count alike against all models.
     costs = [np.minimum((h / scale) ** 2, CUT**2).sum(axis=1) for h in held]
@@ -85,7 +85,7 @@ def fitted(frames: Frames) -> Drift:
     slope, sigma, after, level, correlation = _fit(frames, columns)
     if not columns:
         notes.append("held-out parts of the warm-up show no drift: the stage changes nothing")
-    limit = CUT * np.array([_spread(column) for column in after.T])
+    limit = CUT * _spreads(frames, after, columns)
     bad = np.asarray((np.abs(after) > limit).any(axis=1), dtype=np.bool_)
     if bad.any():
         names = ", ".join(name for name, out in zip(frames.names, bad, strict=True) if out)
@@ -95,6 +95,13 @@ def fitted(frames: Frames) -> Drift:
     left = [np.where(bad[:, None], np.nan, x) for x in (before, after, held[best])]
     needs = tuple(WHICH[c] for c in columns)
     return Drift(slope, sigma, needs, level, left[0], left[1], left[2], correlation, tuple(notes))
+
+
+def _spreads(frames: Frames, rest: F64, columns: list[int]) -> F64:
+    rank = int(frames.target.max()) + 1 + len(columns)
+    noise = np.median(frames.sigma_rad, axis=0)
+    pairs = zip(rest.T, noise, strict=True)
+    return np.array([_spread(column, rank, float(least)) for column, least in pairs])
 
 
 def _models(celsius: F64) -> tuple[list[list[int]], list[str]]:
@@ -147,7 +154,8 @@ def _fit(
     slope, sigma = np.zeros((n_freqs, 2)), np.zeros((n_freqs, 2))
     rest, correlations = np.zeros_like(frames.mean_rad), []
     for f in range(n_freqs):
-        theta, covariance, weight = _robust(design[inside], frames.mean_rad[inside, f])
+        noise = float(np.median(frames.sigma_rad[:, f]))
+        theta, covariance, weight = _robust(design[inside], frames.mean_rad[inside, f], noise)
         rest[:, f] = frames.mean_rad[:, f] - design @ theta
         near = rest[inside, f][weight > 0]
         correlations.append(_neighbours(near))
@@ -158,26 +166,31 @@ def _fit(
     return slope, sigma, rest, frames.mean_rad - rest, float(np.mean(correlations))
 
 
-def _robust(design: F64, value: F64) -> tuple[F64, F64, F64]:
+def _robust(design: F64, value: F64, noise: float) -> tuple[F64, F64, F64]:
     """Parameters, their covariance and final weights by iterated reweighting."""
+    rank = int(np.linalg.matrix_rank(design))
     weight = np.ones(value.size)
     theta = np.linalg.pinv(design) @ value
     for _ in range(ROUNDS):
         rest = value - design @ theta
-        away = np.abs(rest) / _spread(rest)
+        away = np.abs(rest) / _spread(rest, rank, noise)
         weight = np.where(away < CUT, HUBER / np.maximum(away, HUBER), 0.0)
         weighted = design * weight[:, None]
         theta = np.linalg.pinv(weighted.T @ design) @ (weighted.T @ value)
     rest = value - design @ theta
     used, inner = weight > 0, weight == 1
-    freedom = max(1, int(used.sum()) - int(np.linalg.matrix_rank(design)))
+    freedom = max(1, int(used.sum()) - rank)
     # Huber (1981), asymptotic variance: E psi^2 / (E psi')^2.
     scatter = float(((weight * rest) ** 2).sum()) / freedom / max(0.1, inner[used].mean()) ** 2
-    return theta, np.linalg.pinv(design[used].T @ design[used]) * scatter, weight
+    covariance = np.linalg.pinv(design[used].T @ design[used]) * max(scatter, noise**2)
+    return theta, covariance, weight
 
 
-def _spread(rest: F64) -> float:
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(rest - np.median(rest)))), 1e-9)
+def _spread(rest: F64, rank: int, noise: float) -> float:
+    """Robust standard deviation of residuals of a fit of some rank, no less than their noise."""
+    shrunk = np.sqrt(rest.size / max(1, rest.size - rank))
+    usual = MAD_TO_SIGMA * shrunk * float(np.median(np.abs(rest - np.median(rest))))
+    return float(max(usual, noise, 1e-9))
 
 
 def _neighbours(rest: F64) -> float:

@@ -107,8 +107,8 @@ def _celsius(captures: Sequence[Capture]) -> F64:
     span = np.ptp(celsius[:, known[0]], axis=0)
     if span.max() < LEAST_SPAN_K:
         msg = (
-            f"the warm-up from {name_of(captures[0])} on spans {span.max():.1f} K, wanted "
-            f"{LEAST_SPAN_K:g} K or more; start it with a cold camera"
+            f"the warm-up spans {span.max():.1f} K, wanted {LEAST_SPAN_K:g} K or more; start it "
+            "with a cold camera"
         )
         raise ValueError(msg)
     return celsius

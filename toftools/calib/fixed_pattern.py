@@ -22,7 +22,7 @@ from toftools.calib._phase_apply import check_freqs, residual_in_mm, rotated, to
 from toftools.calib._phase_errors import Errors, errors_of, picked
 from toftools.calib._phase_pixels import TwoWay, two_way
 from toftools.calib.stage import Residual
-from toftools.conditions import conditions_of, expected_range_m
+from toftools.conditions import conditions_of
 from toftools.types import F64, Bool, Capture, Phasors
 
 MISPLACED_SIGMA, MISPLACED_MM = 4.0, 0.5
@@ -213,15 +213,15 @@ def _placement(used: Sequence[Capture], errors: Errors, fit: TwoWay) -> list[str
             "than told, or wiggling is left"
         ]
     middle = float(np.median(off))
-    notes = []
-    for k, name in enumerate(errors.names):
-        if abs(off[k] - middle) > max(MISPLACED_SIGMA * noise[k], MISPLACED_MM):
-            at = float(np.nanmedian(expected_range_m(used[k])))
-            where = (
-                f"its distance of {conditions_of(used[k]).distance_m:g} m (median range {at:.2f} m)"
-            )
-            notes.append(
-                f"{name} reads {off[k] - middle:+.1f} mm against the other walls: {where} is "
-                "wrong, it moved, or wiggling is left"
-            )
-    return notes
+    bad = np.abs(off - middle) > np.maximum(MISPLACED_SIGMA * noise, MISPLACED_MM)
+    if 2 * bad.sum() >= len(used):
+        low, high = errors.names[int(off.argmin())], errors.names[int(off.argmax())]
+        return [
+            f"walls disagree by up to {np.ptp(off):.1f} mm ({high} against {low}): their distances "
+            "are wrong, or an error of lens, wiggling or amplitude is left"
+        ]
+    return [
+        f"{errors.names[k]} reads {off[k] - middle:+.1f} mm against the other walls: its distance "
+        f"of {conditions_of(used[k]).distance_m:g} m is wrong, it moved, or wiggling is left"
+        for k in map(int, np.flatnonzero(bad))
+    ]
