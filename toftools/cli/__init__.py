@@ -12,6 +12,7 @@ VERBS = {
     "simulate": "Simulate a capture of a scene.",
     "convert": "Turn a foreign file into a capture file.",
     "inspect": "Say what is in a file, and propose its convention.",
+    "rig": "Capture a whole calibration with a virtual rig.",
     "calibrate": "Fit what is wrong with a camera, and say how good that is.",
     "correct": "Turn a capture into a depth map.",
     "cloud": "Make a point cloud or a picture of one.",

@@ -1,11 +1,12 @@
 """What a virtual rig plants into a camera."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from toftools._arrays import set_fields
+from toftools._params import checked_params, parse_entry
 from toftools.electronics import PerFreq
 
 
@@ -107,5 +108,43 @@ FAULTLESS = Errors(
 
 
 def typed() -> dict[str, Any]:
-    """Every error with its default, whose type says what is wanted."""
-    return {field.name: field.default for field in fields(Errors)}
+    """Every error with a typical value, whose type says what is wanted.
+
+    Returns
+    -------
+    dict
+        Defaults; a tuple where several numbers may be given.
+    """
+    return {
+        field.name: (field.default,) if field.type == PerFreq else field.default
+        for field in fields(Errors)
+    }
+
+
+def parse_errors(text: str) -> Errors:
+    """Errors from ``key=val,...``; ``none,key=val`` plants nothing else.
+
+    Parameters
+    ----------
+    text : str
+        As typed, such as ``waveform=sine,fppn_rad=0.02+0.04``.
+
+    Returns
+    -------
+    Errors
+        The defaults with these changes.
+
+    Raises
+    ------
+    ValueError
+        If a key is unknown or a value is not what it should be.
+
+    Examples
+    --------
+    >>> parse_errors("none,delay_s=1e-9").delay_s, parse_errors("").waveform
+    (1e-09, 'square')
+    """
+    first, _, rest = text.strip().partition(",")
+    none = first.strip() == "none"
+    params = parse_entry(f"errors:{rest if none else text}")[1]
+    return replace(FAULTLESS if none else Errors(), **checked_params("errors", typed(), params))

@@ -1,5 +1,6 @@
 """What a virtual rig captures: one `Take` per capture, in the order of a working day."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -113,7 +114,7 @@ def takes(plan: Plan, unit: Unit, seed: int) -> list[Take]:
 def rail_m(plan: Plan, unit: Unit) -> F64:
     """Positions of the rail, m."""
     length = TURNS * float(ambiguity_m(unit.nominal.modulation.freqs_hz.min()))
-    return np.linspace(RAIL_M[0], min(RAIL_M[0] + length, RAIL_M[1]), plan.rail)
+    return np.linspace(RAIL_M[0], min(RAIL_M[0] + length, RAIL_M[1]), plan.rail).round(4)
 
 
 def _told(
@@ -129,6 +130,7 @@ def _told(
     """Conditions of a plane, exposed so that the axis gets `level_e`, times `light`."""
     noise, errors = unit.nominal.noise, unit.errors
     exposure = light * level_e(unit.nominal) * distance_m**2 / (noise.signal_e * albedo)
+    exposure = float(f"{exposure:.4g}")
     return Conditions(
         kind, distance_m=distance_m, normal=normal, delay_s=delay_s,
         sensor_c=errors.reference_sensor_c, light_c=errors.reference_light_c, exposure=exposure,
@@ -195,7 +197,9 @@ def _temperatures(unit: Unit, time_s: float) -> tuple[float, float]:
 
 
 def _at(told: Conditions, sensor_c: float, light_c: float) -> Conditions:
-    return Conditions(**{**vars(told), "sensor_c": sensor_c, "light_c": light_c})
+    return Conditions(
+        **{**vars(told), "sensor_c": round(sensor_c, 2), "light_c": round(light_c, 2)}
+    )
 
 
 def _lamp(plan: Plan, unit: Unit, seed: int) -> list[Take]:
@@ -227,13 +231,11 @@ def _check(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     for i in range(plan.check):
         places = rng.uniform(edges[i], edges[i + 1], 64)
         apart = np.abs(places[:, None] - taken).min(axis=1)
-        z = float(places[np.argmax(apart > 0.01)] if (apart > 0.01).any() else places[0])
+        z = round(float(places[np.argmax(apart)]), 4)
         tilt, way = np.radians(20 * rng.random()), 2 * np.pi * rng.random()
-        normal = (
-            float(np.sin(tilt) * np.cos(way)), float(np.sin(tilt) * np.sin(way)),
-            -float(np.cos(tilt)),
-        )  # fmt: skip
-        albedo, light = float(rng.uniform(0.2, 0.8)), float(2 ** rng.uniform(-1, 1))
+        normal = (np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), -np.cos(tilt))
+        normal = tuple(round(float(x), 4) for x in normal)
+        albedo, light = float(rng.uniform(0.2, 0.8).round(3)), float(2 ** rng.uniform(-1, 1))
         told = _told(unit, "check", z, albedo=albedo, normal=normal, light=light)
         warm = _temperatures(unit, float(rng.uniform(0.3, 4)) * unit.errors.light_tau_s)
         found.append(Take(_name("check", i), _at(told, *warm), albedo))
@@ -248,10 +250,8 @@ def _boards(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     while len(found) < plan.boards:
         for cell in rng.permutation(CELLS).tolist():
             pose = pose_at(camera, cell, rng)
-            z = float(pose[1] @ pose[0][:, 2] / pose[0][2, 2])  # where its plane meets the axis
-            normal = tuple((-pose[0][:, 2]).tolist())
-            middle = float(np.linalg.norm(corners_m(pose).mean(axis=0)))
-            told = _told(unit, "board", middle, albedo=0.8)
-            told = Conditions(**{**vars(told), "distance_m": z, "normal": normal})
+            middle_m = float(np.linalg.norm(corners_m(pose).mean(axis=0)))
+            told = _told(unit, "board", middle_m, albedo=0.8)
+            told = Conditions(**{**vars(told), "distance_m": math.nan})  # nobody measures that
             found.append(Take(_name("board", len(found)), told, pose=pose))
     return found[: plan.boards]

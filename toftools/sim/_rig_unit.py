@@ -134,7 +134,12 @@ def unit_of(errors: Errors, sensor: Sensor) -> Unit:
     true = with_waveform(replace(nominal, camera=camera), errors.waveform)
     rng = np.random.default_rng((errors.unit, OFFSETS))
     offset = errors.offset_rad * rng.standard_normal(mod.n_freqs)
+    drifts = (errors.sensor_rad_per_k, errors.light_rad_per_k)
     terms = (errors.amplitude_rad, errors.amplitude_bend_rad, errors.amplitude_wave_rad)
+    for value in (errors.fppn_rad, *drifts, *terms):
+        if isinstance(value, tuple) and len(value) != mod.n_freqs:
+            msg = f"wanted one phase, or one per frequency ({mod.n_freqs}), got {value}"
+            raise ValueError(msg)
     return Unit(
         nominal=nominal,
         sensor=replace(true, maps=replace(drawn, gain=gain, dark_e=dark_e)),

@@ -19,14 +19,20 @@ import numpy as np
 
 from toftools.conditions import Conditions, with_conditions
 from toftools.phasor import demodulate, phase
+from toftools.sim._rig_boards import BOARD as BOARD
 from toftools.sim._rig_boards import WALL_BEHIND_M, pattern
 from toftools.sim._rig_errors import FAULTLESS as FAULTLESS
 from toftools.sim._rig_errors import Errors as Errors
-from toftools.sim._rig_plan import PLANS, Plan, Take, takes
+from toftools.sim._rig_errors import parse_errors as parse_errors
+from toftools.sim._rig_plan import PLANS as PLANS
+from toftools.sim._rig_plan import Plan as Plan
+from toftools.sim._rig_plan import Take as Take
+from toftools.sim._rig_plan import takes
 from toftools.sim._rig_truth import RigTruth as RigTruth
 from toftools.sim._rig_truth import Wiggling as Wiggling
 from toftools.sim._rig_truth import truth_of as truth_of
-from toftools.sim._rig_unit import Unit, unit_of
+from toftools.sim._rig_unit import Unit as Unit
+from toftools.sim._rig_unit import unit_of as unit_of
 from toftools.sim.noise import clean_taps, contrasts
 from toftools.sim.readout import expose
 from toftools.sim.shapes import C128, Transport
@@ -79,9 +85,26 @@ def rig(
     """
     unit = unit_of(errors, sensor)
     for i, take in enumerate(planned(unit, plan, seed=seed, frames=frames)):
-        rng = np.random.default_rng((seed, 2, i)) if noisy else None
-        capture = exposed(take, unit, rng, frames)
+        capture = exposed(take, unit, noise_of(seed, i) if noisy else None, frames)
         yield take.name, replace(capture, provenance={**capture.provenance, "seed": seed})
+
+
+def noise_of(seed: int, place: int) -> np.random.Generator:
+    """Source of the noise of one capture.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the rig.
+    place : int
+        Place of the capture in the plan.
+
+    Returns
+    -------
+    numpy.random.Generator
+        The same whether or not the captures before it are made.
+    """
+    return np.random.default_rng((seed, 2, place))
 
 
 def planned(unit: Unit, plan: str | Plan, *, seed: int, frames: int = 1) -> list[Take]:
