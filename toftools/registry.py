@@ -299,3 +299,9 @@ READERS = _table(
     transient=Spec("toftools.io.readers.transient:read"),
 )
 """Foreign formats; ``read(path, *, convention...)`` gives a Capture, ``sniff`` recognises one."""
+FACTORY = _table(
+    kinect2=Spec("toftools.calib.factory.kinect2:load"),
+    ti=Spec("toftools.calib.factory.ti:load"),
+    adi=Spec("toftools.calib.factory.adi:load"),
+)
+"""Calibration tables that makers of cameras ship; ``load(path, *, convention...)`` gives a Chain."""
