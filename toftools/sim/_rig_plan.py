@@ -235,7 +235,7 @@ def _check(plan: Plan, unit: Unit, seed: int) -> list[Take]:
         tilt, way = np.radians(20 * rng.random()), 2 * np.pi * rng.random()
         normal = (np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), -np.cos(tilt))
         normal = tuple(round(float(x), 4) for x in normal)
-        albedo, light = float(rng.uniform(0.2, 0.8).round(3)), float(2 ** rng.uniform(-1, 1))
+        albedo, light = round(rng.uniform(0.2, 0.8), 3), float(2 ** rng.uniform(-1, 1))
         told = _told(unit, "check", z, albedo=albedo, normal=normal, light=light)
         warm = _temperatures(unit, float(rng.uniform(0.3, 4)) * unit.errors.light_tau_s)
         found.append(Take(_name("check", i), _at(told, *warm), albedo))
