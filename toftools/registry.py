@@ -287,21 +287,9 @@ METRICS = _table(
     **_statistics("haar_hv"),
     **_statistics("haar_hd"),
 )
-READERS = _table(
-    su2018=Spec("toftools.io.readers.su2018:read"),
-    melexis_npy=Spec("toftools.io.readers.melexis_npy:read"),
-    azure_mkv=Spec("toftools.io.readers.azure_mkv:read"),
-    adi_bin=Spec("toftools.io.readers.adi_bin:read"),
-    ifm_o3r=Spec("toftools.io.readers.ifm_o3r:read"),
-    espros_h5=Spec("toftools.io.readers.espros_h5:read"),
-    depth_png=Spec("toftools.io.readers.depth_png:read"),
-    npz=Spec("toftools.io.readers.npz:read"),
-    transient=Spec("toftools.io.readers.transient:read"),
-)
+_FORMATS = "su2018 melexis_npy azure_mkv adi_bin ifm_o3r espros_h5 depth_png npz transient".split()
+READERS = _table(**{name: Spec(f"toftools.io.readers.{name}:read") for name in _FORMATS})
 """Foreign formats; ``read(path, *, convention...)`` gives a Capture, ``sniff`` recognises one."""
-FACTORY = _table(
-    kinect2=Spec("toftools.calib.factory.kinect2:load"),
-    ti=Spec("toftools.calib.factory.ti:load"),
-    adi=Spec("toftools.calib.factory.adi:load"),
-)
-"""Calibration tables that makers of cameras ship; ``load(path, *, convention...)`` gives a Chain."""
+_MAKERS = ("kinect2", "ti", "adi")
+FACTORY = _table(**{name: Spec(f"toftools.calib.factory.{name}:load") for name in _MAKERS})
+"""Tables that makers of cameras ship; ``load(path, *, convention...)`` gives a Chain."""

@@ -3,10 +3,11 @@
 Applied: the lens (focal lengths, principal point, centre of distortion, rational k1..k6, tangential
 terms), binned and cut as the mode says; and P0, the phase offset of the mode per row and column.
 P0 is in radians, which the block shows itself: in all 16 tables of one file its 16-bit column
-offsets, a turn being 65536, are its negatives modulo half a turn, to half their step (4.8e-5 rad). Its sign, and the order of the tangential terms, are not documented:
-`sign`, and x first (0.2 px at the corner). Not applied, since their units are not documented:
-temperature coefficients of phase and amplitude (kept in the notes of the chain), and gain per
-column, relative illumination, field masks and illumination profiles (not read).
+offsets, a turn being 65536, are its negatives modulo half a turn, to half their step (4.8e-5 rad).
+Its sign, and the order of the tangential terms, are not documented: `sign`, and x first (0.2 px at
+the corner). Not applied, since their units are not documented: temperature coefficients of phase
+and amplitude (kept in the notes of the chain), and gain per column, relative illumination, field
+masks and illumination profiles (not read).
 
 The distortion acts about its centre c in the plane z = 1, ``d(p - c) + c``, as in the camera model
 of the Azure Kinect SDK, whose imager this is. OpenCV has no such centre, so a camera of eight
