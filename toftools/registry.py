@@ -287,7 +287,8 @@ METRICS = _table(
     **_statistics("haar_hv"),
     **_statistics("haar_hd"),
 )
-_FORMATS = "su2018 melexis_npy azure_mkv adi_bin ifm_o3r espros_h5 depth_png npz transient".split()
+_FORMATS = ("su2018", "melexis_npy", "azure_mkv", "adi_bin", "ifm_o3r", "espros_h5",
+            "depth_png", "npz", "transient")  # fmt: skip
 READERS = _table(**{name: Spec(f"toftools.io.readers.{name}:read") for name in _FORMATS})
 """Foreign formats; ``read(path, *, convention...)`` gives a Capture, ``sniff`` recognises one."""
 _MAKERS = ("kinect2", "ti", "adi")
