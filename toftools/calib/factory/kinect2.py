@@ -3,10 +3,12 @@
 ``p0tables*.dat``: uint16 (3, 424, 512), a phase offset per frequency and pixel. libfreenect2 turns
 its reference by ``p0 = -0.000031 pi count`` (read in its source), so its measured phase lies p0
 above the true one; ``sign`` is 1 for phasors whose phase runs as its own, and -1 for their
-conjugates. Rows alternate by half a turn and swap parity in the middle of the image, where the two
-halves of the sensor meet; whether the raw frames alternate likewise depends on how they were read:
-`rows`. Neither can be verified without raw frames of the same unit. Planes are in the order 80, 16,
-120 MHz: modulo the half turn they spread by 0.077, 0.020 and 0.113 rad, as 80 : 17 : 120 does.
+conjugates. Rows alternate by 32768 counts and swap parity in the middle of the image, where the two
+halves of the sensor meet; whether raw frames alternate likewise depends on how they were read:
+`rows`. None of this can be verified without raw frames of the same unit, nor the unit of counts: at
+0.000031 pi, rows differ by 0.050 rad from half a turn (10 mm at 120 MHz), at 65536 to a turn by
+none: `counts_per_turn`. Planes are in the order 80, 16, 120 MHz: modulo 32768 counts they spread by
+0.078, 0.021 and 0.115 rad, much as delays would make them.
 
 ``xTable.bin`` and ``zTable.bin``: float32 (424, 512), 8192 x / z of a pixel's ray, and 6250 / 3
 times the cosine of its angle from the axis (read there). y follows up to its sign, taken positive
@@ -31,9 +33,12 @@ from toftools.calib.stage import Residual, Stage
 from toftools.io.readers._file import existing_file, parsing, read_bytes
 from toftools.sensors import sensor as make_sensor
 from toftools.types import F64, Bool
+from toftools.units import TWO_PI
 
 SHAPE = (424, 512)
-RAD_PER_COUNT = 0.000031 * np.pi
+COUNTS_PER_TURN = 2 / 0.000031
+HALF_TURN = 32768
+"""Counts by which rows alternate."""
 X_SCALE, Z_SCALE = 8192.0, 6250.0 / 3
 SATURATED = 1024
 LEAST_Y = 0.02
@@ -47,6 +52,7 @@ def load(
     *,
     sign: int = 1,
     rows: str = "alternate",
+    counts_per_turn: float = COUNTS_PER_TURN,
     taps: str = "codes",
     sensor: str = "kinect2",
 ) -> Chain:
@@ -61,7 +67,10 @@ def load(
         1 where phase runs as in libfreenect2.
     rows : {"alternate", "even"}
         Whether raw phases alternate by half a turn from row to row, as the P0 table does, or have
-        been brought in step, so that only the rest of the table is to be taken off.
+        been brought in step, so that only the rest of the table is to be taken off; the common
+        phase is then known up to half a turn.
+    counts_per_turn : float
+        Unit of the P0 table; libfreenect2 has 64516, a full uint16 would be 65536.
     taps : {"codes", "numbers"}
         Whether taps are raw 11-bit codes, which the companding table turns into numbers, or numbers
         already, which then stay as they are.
@@ -86,6 +95,9 @@ def load(
         if got not in wanted:
             msg = f"{name} must be {' or '.join(wanted)}, got {got!r}"
             raise ValueError(msg)
+    if not 60_000 < counts_per_turn < 70_000:
+        msg = f"counts_per_turn must be near 65536, got {counts_per_turn}"
+        raise ValueError(msg)
     files = _files(Path(path))
     preset = make_sensor(sensor)
     camera, stages, usable = preset.camera, list[Stage](), np.ones(SHAPE, bool)
@@ -99,11 +111,16 @@ def load(
         stages.append(_response(files["lut"]))
     if "p0" in files:
         counts = _array(files["p0"], "<u2", (3, *SHAPE)).astype(np.float64)
-        stages += _phases(-sign * RAD_PER_COUNT * counts, usable, sign, rows)
+        stages += _phases(counts, usable, -sign * TWO_PI / counts_per_turn, rows)
     notes = {
         "source": "Kinect v2 factory tables as of libfreenect2",
         "files": {key: file.name for key, file in files.items()},
-        "convention": {"sign": sign, "rows": rows, "taps": taps},
+        "convention": {
+            "sign": sign,
+            "rows": rows,
+            "counts_per_turn": counts_per_turn,
+            "taps": taps,
+        },
     }
     return chain_of(sensor_with(sensor, camera), stages, notes)
 
@@ -135,17 +152,19 @@ def _array(path: Path, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
     return np.frombuffer(data, dtype).reshape(shape)
 
 
-def _phases(error_rad: F64, usable: Bool, sign: int, rows: str) -> tuple[Stage, Stage]:
-    half = 0.5
+def _phases(counts: F64, usable: Bool, unit_rad: float, rows: str) -> tuple[Stage, Stage]:
     note = (
-        "Offsets of the factory. Their sign, and whether raw rows alternate by half a turn, cannot "
-        f"be verified without raw frames of the same unit: taken as sign={sign}, rows={rows}."
+        "Offsets of the factory. Their sign and unit, and whether raw rows alternate by half a "
+        f"turn, cannot be verified without raw frames of the same unit: taken as {unit_rad:.4g} "
+        f"rad per count, rows={rows}."
     )
+    share = 0.5
     if rows == "even":
-        middle = np.angle(np.exp(2j * error_rad).mean(axis=(1, 2), keepdims=True)) / 2
-        error_rad = middle + (error_rad - middle + np.pi / 2) % np.pi - np.pi / 2
-    common, pattern = phase_stages(error_rad, usable, RAD_PER_COUNT, (note,), turn=half)
-    return common, pattern
+        share, turns = 1.0, np.exp(1j * TWO_PI / HALF_TURN * counts)
+        middle = np.angle(turns.mean(axis=(1, 2), keepdims=True)) * HALF_TURN / TWO_PI % HALF_TURN
+        counts = middle + (counts - middle + HALF_TURN / 2) % HALF_TURN - HALF_TURN / 2
+        note += " The common phase may be off by half a turn."
+    return phase_stages(unit_rad * counts, usable, abs(unit_rad), (note,), turn=share)
 
 
 def _lens(x_path: Path, z_path: Path) -> tuple[FactoryLens, Bool]:
