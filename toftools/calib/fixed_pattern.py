@@ -27,6 +27,8 @@ from toftools.types import F64, Bool, Capture, Phasors
 
 MISPLACED_SIGMA, MISPLACED_MM = 4.0, 0.5
 """A wall farther off the others than both is worth a note."""
+DISAGREE = 1.3
+"""Scatter of pixels over walls relative to noise from which on something else is at work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +149,7 @@ def fixed_pattern(captures: Sequence[Capture], *, tilt: bool = False) -> FixedPa
     with np.errstate(divide="ignore"):
         sigma = np.where(known, scale[:, None, None] / np.sqrt(weight), np.nan)
     pattern = np.where(known, fit.pixel_rad, np.nan)
-    notes += [*_placement(used, errors, fit), *_gaps(known, errors)]
+    notes += [*_placement(used, errors, fit), *_disagreement(errors, fit), *_gaps(known, errors)]
     before = errors.error_rad - fit.capture_rad[:, :, None, None]
     residual = residual_in_mm(
         errors.freqs_hz,
@@ -179,6 +181,16 @@ def _about_tilt(found: _phase_tilt.Tilt) -> str:
         f"{words}, if the sensor has no delay that grows across it: walls at one distance cannot "
         "tell these apart; add a wall at another distance and the same tilt"
     )
+
+
+def _disagreement(errors: Errors, fit: TwoWay) -> list[str]:
+    worst = float(fit.scale.max())
+    if not errors.told or worst < DISAGREE:
+        return []
+    return [
+        f"pixels differ from wall to wall by {worst:.1f} times their noise: tilted walls (try "
+        "tilt=true), or an error of lens, wiggling or amplitude is left"
+    ]
 
 
 def _gaps(known: Bool, errors: Errors) -> list[str]:
