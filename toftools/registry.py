@@ -178,6 +178,8 @@ SIMULATORS = _table(
     path=Spec("toftools.sim.path:path", grid={"antialias": (1, 4)}),
 )
 CALIBRATIONS = _table(
+    lens=Spec("toftools.calib.lens:lens", grid={"distortion": (0, 4, 5, 8)}),
+    lens_fisheye=Spec("toftools.calib.lens:lens_fisheye"),
     response=Spec("toftools.calib.response:response"),
     wiggling=Spec("toftools.calib.wiggling:wiggling", grid={"harmonics": (4, 8, 0)}),
     wiggling_spline=Spec(

@@ -6,6 +6,7 @@ CLAHE) at several sizes, cheapest first; the first find that makes a grid is ref
 root of the image as it is, where shot noise is even. Fails below about 5 px a square.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +14,16 @@ from typing import Any
 import numpy as np
 
 from toftools._arrays import F32, F64
+from toftools.calib._lens_saddle import REACH, crossing
 from toftools.calib._lens_views import View, trouble
 from toftools.calib.board import Board, charuco
 
 SMALL_PX, MIDDLE_PX, LARGE_PX = 200, 400, 1400
-"""Longer side up to which an image is enlarged up to 4, 3 and 2 times; beyond, it is halved."""
+"""Longer side up to which an image is enlarged up to 4, 2 and 2 times; beyond, it is halved."""
 OFF_GRID = 0.3
 """Squares by which corners may lie off a plane grid: lens distortion bends one by less."""
+LEAST = 6
+"""Corners that make a view."""
 AFTER = 6
 """Further searches for the corners that a first one missed."""
 TONES = ("linear", "root", "flat", "clahe")
@@ -63,7 +67,7 @@ def find_board(view: View, board: Board) -> Seen | None:
         return None
     search = _markers if board.kind == "charuco" else _chessboard
     most, best, left = len(board.points()), None, AFTER
-    for rendering in _searches(view.image):
+    for rendering in searches(view.image):
         found = search(rendering, board)
         left -= best is not None
         if left < 0:
@@ -73,13 +77,13 @@ def find_board(view: View, board: Board) -> Seen | None:
         ids, corners = _refined(view.image, board, *found)
         if _is_grid(board, ids, corners):
             best = Seen(view.name, ids, corners)
-            if len(ids) == most:
+            if len(found[0]) == most:
                 break
     return best
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class Search:
     """One rendering of an image and how to look at it."""
 
     image: Any  # (h, w) uint8
@@ -91,11 +95,12 @@ class _Search:
         return (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / self.scale - 0.5
 
 
-def _searches(image: F32) -> Iterator[_Search]:
+def searches(image: F32) -> Iterator[Search]:
+    """Renderings of an image, the cheapest and most promising first."""
     import cv2
 
     side = max(image.shape)
-    scales: tuple[float, ...] = (2, 4, 3, 1) if side <= SMALL_PX else (2, 1, 3)
+    scales: tuple[float, ...] = (2, 4, 3, 1) if side <= SMALL_PX else (2, 1)
     if side > MIDDLE_PX:
         scales = (1, 2) if side <= LARGE_PX else (0.5, 1)
     for scale in scales:
@@ -105,7 +110,7 @@ def _searches(image: F32) -> Iterator[_Search]:
                 way = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
                 grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=way)
             for sector in (False, True):
-                yield _Search(grey, scale, sector)
+                yield Search(grey, scale, sector)
 
 
 def _rendered(image: F32, tone: str) -> Any:  # noqa: ANN401 - (H, W) uint8
@@ -121,7 +126,8 @@ def _rendered(image: F32, tone: str) -> Any:  # noqa: ANN401 - (H, W) uint8
         return _stretched(root)
     if tone == "clahe":
         return cv2.createCLAHE(3.0, (4, 4)).apply(_stretched(root))
-    mean = cv2.GaussianBlur(root, (0, 0), max(image.shape) / 12)
+    box = (max(image.shape) // 8 | 1,) * 2
+    mean = cv2.blur(cv2.blur(root, box), box)
     return _stretched(root / (mean + 1e-3 * float(root.max())))
 
 
@@ -131,7 +137,7 @@ def _stretched(image: F32) -> Any:  # noqa: ANN401 - (H, W) uint8
     return np.asarray(np.clip(share, 0, 1) * 255).astype(np.uint8)
 
 
-def _chessboard(search: _Search, board: Board) -> tuple[Any, F64] | None:
+def _chessboard(search: Search, board: Board) -> tuple[Any, F64] | None:
     import cv2
 
     if search.sector:
@@ -178,7 +184,7 @@ def _darkness(image: Any, grid: F64) -> float:  # noqa: ANN401 - (h, w) uint8
     return float(grey[(i + j) % 2 == 1].mean() - grey[(i + j) % 2 == 0].mean())
 
 
-def _markers(search: _Search, board: Board) -> tuple[Any, F64] | None:
+def _markers(search: Search, board: Board) -> tuple[Any, F64] | None:
     import cv2
 
     if search.sector:
@@ -187,49 +193,86 @@ def _markers(search: _Search, board: Board) -> tuple[Any, F64] | None:
     settings.minMarkers = 1  # beside a corner; the grid is checked afterwards
     detector = cv2.aruco.CharucoDetector(charuco(board), settings)
     corners, ids, _, _ = detector.detectBoard(search.image)
-    if ids is None or np.size(ids) < 6:
+    if ids is None or np.size(ids) < LEAST:
         return None
     return np.ravel(ids), search.home(corners)
 
 
 def _refined(image: F32, board: Board, ids: Any, corners: F64) -> tuple[Any, F64]:  # noqa: ANN401
-    """Corners on the saddle points of the image itself; one that wanders off stays put."""
+    """Corners where their edges cross in the image itself; those that cannot be told are dropped.
+
+    A corner that fails, or lies off the others, starts once more from where the others put it.
+    """
+    light = np.sqrt(np.maximum(np.nan_to_num(image, nan=0.0, posinf=0.0), 0.0)).astype(np.float32)
+    reach = REACH
+    if board.kind == "charuco":  # keep off the markers
+        reach = min(reach, (board.square_m - board.marker_m) / (math.sqrt(2) * board.square_m))
+    mapped = _mapped(board, ids, corners)
+    if mapped is None:
+        return ids, corners
+    moved, good = crossing(light, corners, mapped[1], reach)
+    mapped = _mapped(board, ids, moved) or mapped
+    good &= ~_off(moved, mapped)
+    if not good.all():
+        again, well = crossing(light, mapped[0][~good], mapped[1][~good], reach)
+        moved[~good] = again
+        good[~good] = well
+        good &= ~_off(moved, mapped)
+    return ids[good], moved[good]
+
+
+def _mapped(board: Board, ids: Any, corners: F64) -> tuple[F64, F64] | None:  # noqa: ANN401
+    """Corners as most of them place each other in perspective, and their steps along the board.
+
+    Steps (N, 2, 2) go to the next corner along columns and along rows.
+    """
     import cv2
 
-    spacing = _spacing(board, ids, corners)
-    reach = 0.35
-    if board.kind == "charuco":  # keep off the markers
-        reach = min(reach, 0.7 * (board.square_m - board.marker_m) / (2 * board.square_m))
-    window = int(np.clip(round(reach * spacing), 2, 15))
-    light = np.sqrt(np.maximum(np.nan_to_num(image, nan=0.0, posinf=0.0), 0.0)).astype(np.float32)
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
-    start = corners.astype(np.float32).reshape(-1, 1, 2)
-    moved = cv2.cornerSubPix(light, start.copy(), (window, window), (-1, -1), stop)
-    moved = np.asarray(moved, dtype=np.float64).reshape(-1, 2)
-    near = np.linalg.norm(moved - corners, axis=1) < 0.3 * spacing
-    return ids, np.where(near[:, None], moved, corners)
+    places = board.points()[ids, :2] / board.square_m
+    if len(places) < 6 or np.ptp(places[:, 0]) == 0 or np.ptp(places[:, 1]) == 0:
+        return None
+    matrix, _ = cv2.findHomography(places, corners, cv2.LMEDS)
+    if matrix is None or not np.isfinite(matrix).all():
+        return None
+
+    def flat(places: F64) -> F64:
+        mapped = np.column_stack([places, np.ones(len(places))]) @ matrix.T
+        return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+    ahead = [flat(places + step) - flat(places - step) for step in 0.5 * np.eye(2)]
+    return flat(places) + _smooth(places, corners - flat(places)), np.stack(ahead, axis=1)
 
 
-def _spacing(board: Board, ids: Any, corners: F64) -> float:  # noqa: ANN401 - whole numbers
-    """Shortest distance of neighbours on the board in the image, px."""
-    places = board.points()[ids, :2]
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
-    beside = np.triu(apart < 1.1 * board.square_m, 1)
-    lengths = np.linalg.norm(corners[:, None] - corners[None], axis=-1)[beside]
-    return float(np.percentile(lengths, 10)) if lengths.size else 10.0
+def _smooth(places: F64, off: F64) -> F64:
+    """What most of some shifts (N, 2) have in common: a polynomial, as a lens bends the board."""
+    x, y = ((places - places.mean(axis=0)) / np.ptp(places, axis=0)).T
+    powers = [(i, j) for i in range(4) for j in range(4 - i)] if len(x) >= 30 else []
+    powers = powers or [(i, j) for i in range(3) for j in range(3 - i)]
+    by = np.stack([x**i * y**j for i, j in powers], axis=-1)
+    if len(x) < 2 * len(powers):
+        return np.zeros_like(off)
+    weight = np.ones(len(x))
+    bent = np.zeros_like(off)
+    for _ in range(8):
+        fit = np.linalg.lstsq(by * weight[:, None], off * weight[:, None], rcond=None)[0]
+        bent = by @ fit
+        left = np.linalg.norm(off - bent, axis=1)
+        weight = 1 / (1 + left / (2 * np.median(left) + 1e-6))
+    return np.asarray(bent)
+
+
+def _off(corners: F64, mapped: tuple[F64, F64]) -> Any:  # noqa: ANN401 - (N,) bool
+    """Corners much farther from their place in perspective than the others."""
+    off = np.linalg.norm(corners - mapped[0], axis=1)
+    square = np.linalg.norm(mapped[1], axis=2).min(axis=1)
+    return off > np.maximum(5 * np.median(off), 0.06 * square)
 
 
 def _is_grid(board: Board, ids: Any, corners: F64) -> bool:  # noqa: ANN401 - whole numbers
     """Whether corners lie on a grid seen in perspective, up to what a lens bends."""
-    import cv2
-
-    places = board.points()[ids, :2]
-    if np.ptp(places[:, 0]) == 0 or np.ptp(places[:, 1]) == 0 or not np.isfinite(corners).all():
+    mapped = _mapped(board, ids, corners) if len(ids) >= LEAST else None
+    if mapped is None or not np.isfinite(corners).all():
         return False  # corners in a row say nothing about a plane
-    matrix, _ = cv2.findHomography(places, corners)
-    if matrix is None:
-        return False
-    mapped = np.column_stack([places, np.ones(len(places))]) @ matrix.T
-    off = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - corners, axis=1)
-    spacing = _spacing(board, ids, corners)
-    return bool(spacing > 2 and np.median(off) < OFF_GRID * spacing)
+    off = np.linalg.norm(corners - mapped[0], axis=1)
+    spacing = np.linalg.norm(mapped[1], axis=2).min(axis=1)
+    return bool(spacing.min() > 2 and (off < OFF_GRID * spacing).mean() > 0.5)
