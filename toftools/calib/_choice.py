@@ -170,7 +170,7 @@ def _trimmed(samples: Samples, rest: F64) -> tuple[F64, F64]:
     away = np.abs(rest) * np.sqrt(samples.weight)
     usual = 1.4826 * float(np.median(away[samples.weight > 0])) + 1e-12
     kept = np.where(away < CUT * usual, samples.weight, 0)
-    return kept, kept * np.minimum(1, HUBER * usual / np.maximum(away, 1e-300))
+    return kept, kept * (HUBER * usual / np.maximum(away, HUBER * usual))
 
 
 def penalty(columns: Columns, seen: Bool, weight: float) -> F64:

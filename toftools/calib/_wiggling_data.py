@@ -151,7 +151,8 @@ def _read(
     error = phase_error_rad(capture)[where]
     flat = (error.shape[0], -1)
     phase = np.angle(phasors.values[where]).astype(np.float64)
-    sigma = phase_sigma_rad(phasors)
+    with np.errstate(over="ignore"):  # dark pixels, which no error belongs to
+        sigma = phase_sigma_rad(phasors)
     noise = None if sigma is None else sigma[where].astype(np.float64).reshape(flat)
     return phase.reshape(flat), error.reshape(flat), noise
 
