@@ -185,7 +185,7 @@ def verdict(chain: Chain, captures: Sequence[Capture]) -> Verdict:
     last = after[-1]
     spots = _spots(captures, raw, corrected)
     parts = causes_mm2(corrected)
-    if not last.ratio > GOOD:
+    if not round(last.ratio, 2) > GOOD:
         word, advice = "GOOD", ""
         if not last.noise_mm > 0:
             word = "UNKNOWN NOISE"

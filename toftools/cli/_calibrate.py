@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from toftools import registry
-from toftools.calib.chain import Chain, chain_for, extended
-from toftools.calib.fit import Outcome, check_frame, fit_plan, fit_stage, refuse_calibrated
+from toftools.calib.chain import Chain, chain_for, check_order, extended
+from toftools.calib.fit import Outcome, fit_plan, fit_stage
 from toftools.calib.needs import counted, for_stage, missing_before, slot_of
 from toftools.calib.plan import Plan, Step, plan
-from toftools.calib.residuals import same_sensor
+from toftools.calib.stage import Stage
 from toftools.calib.store import load_chain, save_chain
 from toftools.calib.verdict import Verdict, verdict
+from toftools.cli._calibrate_job import Job, opened_captures
+from toftools.cli._calibrate_pictures import are_pictures, lens_of_pictures
 from toftools.cli._calibration import (
     chain_data,
     outcome_lines,
@@ -24,62 +24,17 @@ from toftools.cli._calibration import (
     verdict_lines,
 )
 from toftools.cli._progress import progress
-from toftools.conditions import Conditions, conditions_of, name_of, with_conditions
+from toftools.conditions import conditions_of, name_of
 from toftools.io.atomic import atomic_path, check_target
-from toftools.io.conditions import NAME, labelled, read_conditions
-from toftools.io.open import open_capture
-from toftools.registry import find
+from toftools.registry import FACTORY, find
 from toftools.types import Capture
 
-FACTORY = getattr(registry, "FACTORY", {})
 LOG = logging.getLogger("toftools.calib")
 USUAL_KIND = {
     "lens": "board", "response": "flat", "wiggling": "rail", "common_phase": "wall",
     "fixed_pattern": "wall", "amplitude": "gray", "temperature": "warmup", "extrinsics": "board",
 }  # fmt: skip
 """Kind of captures that say none, by the stage that is fitted from them."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One call of the command, as typed.
-
-    Parameters
-    ----------
-    stage : str
-        ``all``, a stage, or ``factory:NAME``.
-    captures : tuple of Path
-        Files, or one folder.
-    out, report, start, table : Path or None
-        Calibration to write, report to write, calibration to extend, labels.
-    board : str or None
-        Board of the lens.
-    entries, skip, trust : tuple of str
-        Entries for slots, slots to leave out, modules to trust.
-    format_text : str or None
-        Forced input format.
-    conditions : mapping
-        Conditions of all captures of this call.
-    verbose : bool
-        Messages are printed as lines.
-    say : callable
-        Takes a line for people.
-    """
-
-    stage: str
-    captures: tuple[Path, ...]
-    out: Path
-    report: Path | None
-    start: Path | None
-    table: Path | None
-    board: str | None
-    entries: tuple[str, ...]
-    skip: tuple[str, ...]
-    trust: tuple[str, ...]
-    format_text: str | None
-    conditions: Mapping[str, Any]
-    verbose: bool
-    say: Callable[[str], Any]
 
 
 def calibrated(job: Job) -> dict[str, Any]:
@@ -134,20 +89,20 @@ def _factory(job: Job) -> dict[str, Any]:
 def _single(job: Job) -> dict[str, Any]:
     """One stage, added to the chain so far."""
     entry, slot = job.stage, slot_of(job.stage)
-    opened = _opened(job, USUAL_KIND[slot])
-    captures = for_stage(slot, opened)
-    if len(captures) < len(opened):
-        LOG.warning("%s takes %s and leaves the others alone", slot, counted(captures))
     start = job.start or (job.out if job.out.exists() else None)
-    chain = chain_for(captures[0].sensor) if start is None else load_chain(start, trusted=job.trust)
-    missing = missing_before(slot, [stage.slot for stage in chain.stages])
-    if missing:
-        LOG.warning("%s", missing)
+    before = None if start is None else load_chain(start, trusted=job.trust)
+    captures: tuple[Capture, ...] = ()
     with progress(verbose=job.verbose, engines="toftools.calib"):
-        stage = fit_stage(chain, slot, entry, captures, _params(job).get(slot, {}))
-        chain = _told(extended(chain, stage), captures)
-        step = Step(slot, entry, captures)
-        _write(job, chain, (Outcome(step, stage),), None)
+        if are_pictures(entry, job.captures, job.format_text):
+            chain, stage = _pictured(job, before)
+        else:
+            captures = _chosen(job, slot)
+            chain = before or chain_for(captures[0].sensor)
+            _warn(missing_before(slot, [one.slot for one in chain.stages]))
+            stage = fit_stage(chain, slot, entry, captures, _params(job).get(slot, {}))
+        names = [name_of(c) for c in captures] or [path.name for path in job.captures]
+        chain = _told(extended(chain, stage), names)
+        _write(job, chain, (Outcome(Step(slot, entry, captures), stage),), None)
     lines = stage_lines(replace(chain, stages=(stage,)))
     held = ", ".join(stage.slot for stage in chain.stages)
     for line in [*lines, f"wrote {job.out}, which holds {held}"]:
@@ -155,9 +110,30 @@ def _single(job: Job) -> dict[str, Any]:
     return {"out": str(job.out), **chain_data(chain)}
 
 
+def _pictured(job: Job, before: Chain | None) -> tuple[Chain, Stage]:
+    if before is not None:
+        check_order(before, "lens")
+    LOG.info("lens: fitting %d pictures", len(job.captures))
+    return lens_of_pictures(job.stage, job.captures, job.board, job.sensor, before)
+
+
+def _chosen(job: Job, slot: str) -> tuple[Capture, ...]:
+    """Captures that a stage is fitted from, out of those that were given."""
+    opened = opened_captures(job, USUAL_KIND[slot])
+    captures = for_stage(slot, opened)
+    if len(captures) < len(opened):
+        _warn(f"{slot} takes {counted(captures)} and leaves the others alone")
+    return captures
+
+
+def _warn(sentence: str) -> None:
+    if sentence:
+        LOG.warning("%s", sentence)
+
+
 def _whole(job: Job) -> dict[str, Any]:
     """Every stage that a folder allows, and the verdict."""
-    captures = _opened(job, "")
+    captures = opened_captures(job, "")
     made = plan(captures, entries=job.entries, skip=job.skip)
     fitted = [step for step in made.steps if not step.reason]
     for line in plan_lines(made):
@@ -172,7 +148,7 @@ def _whole(job: Job) -> dict[str, Any]:
     with progress(verbose=job.verbose, engines="toftools.calib"):
         chain, outcomes = fit_plan(made, chain, _params(job))
         judged = verdict(chain, made.held_out)
-        chain = _told(chain, captures, verdict=judged.sentence)
+        chain = _told(chain, [name_of(c) for c in captures], verdict=judged.sentence)
         _write(job, chain, outcomes, judged, made)
     for line in [*outcome_lines(chain, outcomes), *verdict_lines(judged), f"wrote {job.out}"]:
         job.say(line)
@@ -182,42 +158,6 @@ def _whole(job: Job) -> dict[str, Any]:
         "skipped": {o.step.slot: o.reason for o in outcomes if o.stage is None},
         "verdict": _verdict_data(judged),
     }
-
-
-def _opened(job: Job, kind: str) -> list[Capture]:
-    """All captures of a job with their conditions, of one camera."""
-    captures = [_labelled(job, *found, kind) for found in _files(job)]
-    same_sensor(captures)
-    for capture in captures:
-        refuse_calibrated(capture)
-        check_frame(capture)
-    return captures
-
-
-def _files(job: Job) -> list[tuple[Path, Conditions | None]]:
-    """Every file with the conditions that a table says for it."""
-    found: list[tuple[Path, Conditions | None]] = []
-    for path in job.captures:
-        home = path if path.is_dir() else path.parent
-        table = job.table or home / NAME
-        told = read_conditions(table, home=home) if job.table or table.is_file() else {}
-        files = [path]
-        if path.is_dir():
-            files = [home / name for name in told] if job.table else labelled(home)
-        found += [(file, told.get(file.relative_to(home).as_posix())) for file in files]
-    return found
-
-
-def _labelled(job: Job, file: Path, told: Conditions | None, kind: str) -> Capture:
-    """One capture with what the table, the file itself and the options say, the last first."""
-    capture = open_capture(file, job.format_text)
-    if told is not None:
-        capture = with_conditions(capture, told)
-    elif "conditions" not in capture.provenance and (kind or "kind" in job.conditions):
-        capture = with_conditions(capture, Conditions(job.conditions.get("kind", kind)))
-    capture = replace(capture, provenance={**capture.provenance, "file": file.name})
-    known = conditions_of(capture)
-    return with_conditions(capture, replace(known, **job.conditions))
 
 
 def _params(job: Job) -> dict[str, dict[str, Any]]:
@@ -237,11 +177,11 @@ def _check_held_out(made: Plan) -> None:
             raise ValueError(msg)
 
 
-def _told(chain: Chain, captures: Sequence[Capture], **more: str) -> Chain:
+def _told(chain: Chain, names: Sequence[str], **more: str) -> Chain:
     """The chain with a note about where it comes from."""
     from importlib.metadata import version
 
-    files = list(dict.fromkeys([*chain.notes.get("files", []), *map(name_of, captures)]))
+    files = list(dict.fromkeys([*chain.notes.get("files", []), *names]))
     return replace(chain, notes={**chain.notes, "files": files,
                                  "toftools": version("toftools"), **more})  # fmt: skip
 

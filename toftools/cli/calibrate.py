@@ -9,11 +9,9 @@ from typing import Any
 
 import click
 
-from toftools import registry
 from toftools.conditions import KINDS
-from toftools.registry import CALIBRATIONS
+from toftools.registry import CALIBRATIONS, FACTORY
 
-FACTORY = getattr(registry, "FACTORY", {})
 OVERRIDES = ("kind", "distance_m", "delay_s", "sensor_c", "light_c", "exposure", "reference")
 
 
@@ -51,6 +49,8 @@ Examples:
               help="Labels of the captures; by default conditions.csv beside them.")  # fmt: skip
 @click.option("--board", default=None, metavar="KIND[:k=v,...]",
               help="Board of the lens stage: chessboard or charuco and its size.")  # fmt: skip
+@click.option("--sensor", default=None, metavar="NAME[:k=v,...]",
+              help="Camera of pictures (*.png) that are no captures, for the lens.")  # fmt: skip
 @click.option("--stage", "entries", multiple=True, metavar="NAME[:k=v,...]",
               help="all: fit a stage this way, such as wiggling_spline; repeatable.")  # fmt: skip
 @click.option("--skip", multiple=True, metavar="STAGE", help="all: leave a stage out; repeatable.")
@@ -72,7 +72,8 @@ Examples:
 @click.pass_context
 def command(ctx: click.Context, /, **told: Any) -> None:  # noqa: ANN401 - twenty options, by name
     """Fit a STAGE of a calibration, or all of them, from CAPTURES."""
-    from toftools.cli._calibrate import Job, calibrated
+    from toftools.cli._calibrate import calibrated
+    from toftools.cli._calibrate_job import Job
 
     as_json = told.pop("as_json")
     conditions = {key: value for key in OVERRIDES if (value := told.pop(key)) is not None}

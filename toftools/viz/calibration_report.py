@@ -184,8 +184,9 @@ def _sections(chain: Chain, outcomes: Sequence[Outcome]) -> list[Section]:
     sections = []
     for outcome in outcomes:
         stage = chain.stage(outcome.step.slot)
-        if stage is not None and outcome.step.captures and outcome.step.slot in drawn:
-            section = drawn[outcome.step.slot](chain, outcome.step.captures)
+        slot, captures = outcome.step.slot, outcome.step.captures
+        if stage is not None and slot in drawn and (captures or slot == "lens"):
+            section = drawn[slot](chain, captures)
             sections += [section] if section.figures else []
     return sections
 
