@@ -14,7 +14,7 @@ from toftools.calib.register import (
     colours_of,
     register_depth,
 )
-from toftools.camera import pinhole, points, project, range_to_z, rays
+from toftools.camera import pinhole, points, project, range_to_z, rays, undistorted
 from toftools.types import Camera
 
 TOF = pinhole(160, 120, hfov_deg=70)
@@ -143,6 +143,31 @@ def test_the_same_camera_sees_the_same_picture():
     np.testing.assert_allclose(colours, image, atol=1e-5)
     z_m = register_depth(still, TOF, range_m)
     np.testing.assert_allclose(z_m, range_to_z(TOF, range_m), rtol=2e-5)
+
+
+@pytest.mark.parametrize("camera", [
+    Camera(160, 120, TOF.K, np.array([-0.25, 0.08, 1e-3, 0.0, 0.0])),
+    Camera(160, 120, TOF.K * [[0.5], [0.5], [1]] + [[0, 0, 40], [0, 0, 30], [0, 0, 0]],
+           np.array([0.02, -0.004, 3e-4, 0]), "fisheye"),
+], ids=["distorted", "fisheye"])  # fmt: skip
+def test_a_range_image_without_its_distortion(camera):
+    plain = undistorted(camera, most_deg=60)
+    assert plain.dist.size == 0
+    assert plain.model == "pinhole"
+    u, v = project(plain, rays(camera)[rays(camera)[..., 2] > np.cos(np.radians(60))])
+    assert u.min() == pytest.approx(0, abs=1e-6)
+    assert v.max() == pytest.approx(119, abs=1e-6)
+    range_m = 1.5 / (rays(camera) @ [0.2, 0.1, 1.0])
+    z_m = register_depth(Extrinsics(*HERE, plain), camera, range_m)
+    wanted = range_to_z(plain, 1.5 / (rays(plain) @ [0.2, 0.1, 1.0]))
+    known = np.isfinite(z_m)
+    assert known[5:-5, 5:-5].mean() > 0.9
+    np.testing.assert_allclose(z_m[known], wanted[known], rtol=5e-4)
+
+
+def test_a_pinhole_of_no_angle_is_refused():
+    with pytest.raises(ValueError, match="between 0 and 90"):
+        undistorted(TOF, most_deg=90)
 
 
 def test_wrong_sizes_are_refused():

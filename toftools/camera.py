@@ -63,6 +63,48 @@ def resized(camera: Camera, width: int, height: int) -> Camera:
     return replace(camera, width=width, height=height, K=K)
 
 
+def undistorted(camera: Camera, *, most_deg: float = 70.0) -> Camera:
+    """A pinhole without distortion that sees what this camera sees, for tools that know no other.
+
+    Parameters
+    ----------
+    camera : Camera
+        Any camera.
+    most_deg : float
+        Rays further off the axis are left out: a pinhole image of them would need too many pixels.
+
+    Returns
+    -------
+    Camera
+        Camera of the same image size; `toftools.calib.register.register_depth` with no turn and
+        no shift brings a range image to it.
+
+    Raises
+    ------
+    ValueError
+        If no ray is left, or `most_deg` is not between 0 and 90.
+
+    Examples
+    --------
+    >>> camera = pinhole(320, 240, hfov_deg=90)
+    >>> bool(np.allclose(undistorted(camera).K, camera.K))
+    True
+    """
+    if not 0 < most_deg < 90:
+        msg = f"most_deg must lie between 0 and 90 degrees, got {most_deg}"
+        raise ValueError(msg)
+    way = rays(camera)
+    kept = way[way[..., 2] > np.cos(np.radians(most_deg))]
+    if camera.width < 2 or camera.height < 2 or not len(kept):
+        msg = f"no pinhole can be fitted to the rays of a {camera.width} x {camera.height} px image"
+        raise ValueError(msg)
+    xy = kept[:, :2] / kept[:, 2:]
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    f_px = (np.array([camera.width, camera.height]) - 1) / (high - low)
+    K = np.array([[f_px[0], 0, -f_px[0] * low[0]], [0, f_px[1], -f_px[1] * low[1]], [0, 0, 1]])
+    return Camera(camera.width, camera.height, K)
+
+
 def rays(camera: Camera) -> F64:
     """Unit viewing direction of every pixel.
 
