@@ -66,7 +66,7 @@ class Lens:
     views : tuple of str
         Views that were used.
     view_rms_px : ndarray, (V,)
-        Error of each: root mean square distance of its corners from the model, px.
+        Root mean square distance of the corners of each from the model, px.
     rejected : tuple of str
         Views that showed the board but disagree with the others.
     coverage : ndarray, (6, 8)
@@ -74,8 +74,7 @@ class Lens:
     corners_px, errors_px : ndarray, (N, 2)
         All corners used, and measured minus modelled, px.
     rms_px, held_out_px : float
-        Root mean square distance over all corners, and the same in views that a fit has not seen
-        (which only their pose may follow), px.
+        The same over all corners, and over views that a fit has not seen (but for their pose), px.
     tilt_deg : float
         Largest angle between the board in any two views, degrees.
     residual : Residual
@@ -165,7 +164,7 @@ def lens(
     Raises
     ------
     ValueError
-        If a parameter or a capture is unfit, too few views show the board, or all are parallel.
+        If a parameter or capture is unfit, too few views show the board, or all are parallel.
     """
     if distortion is not None and distortion not in SIZES:
         msg = f"lens got distortion={distortion}; wanted one of {', '.join(map(str, SIZES))}"
@@ -211,9 +210,9 @@ def _from_captures(
     same_sensor(shown)
     sensor = shown[0].sensor
     views = [view_of(capture) for capture in shown]
-    freqs = sensor.modulation.freqs_hz
+    freqs, parsed = sensor.modulation.freqs_hz, parse_board(board)
     return fit_lens(
-        views, parse_board(board), sensor.camera, freqs, model=model, sizes=sizes, hold_out=hold_out
+        views, parsed, sensor.camera, freqs, model=model, sizes=sizes, hold_out=hold_out
     )
 
 
@@ -244,7 +243,7 @@ def fit_lens(
     sizes : sequence of int
         Numbers of distortion coefficients to choose from, rising.
     hold_out : int
-        Parts that the views are held out in.
+        As for `lens`.
 
     Returns
     -------
@@ -279,15 +278,9 @@ def fit_lens(
         *board_notes(best.fit, kept.views, board),
         *range_notes(best.fit, views, seen, board, freqs_hz, names),
     ]
-    errors = np.concatenate(best.fit.errors)
-    residual = Residual(
-        unit="px",
-        before=nominal_px(nominal, kept),
-        after=best.fit.rms_px,
-        held_out=best.held_out_px,
-        n=len(errors),
-        notes=tuple(notes),
-    )
+    errors, rms_px, held_out_px = np.concatenate(best.fit.errors), best.fit.rms_px, best.held_out_px
+    before, n = nominal_px(nominal, kept), len(errors)
+    residual = Residual("px", before, rms_px, held_out_px, n=n, notes=tuple(notes))
     return Lens(
         camera=best.fit.camera,
         sigma=spread,
@@ -298,8 +291,8 @@ def fit_lens(
         coverage=counts,
         corners_px=np.concatenate([view.pixels for view in kept.views]),
         errors_px=errors,
-        rms_px=best.fit.rms_px,
-        held_out_px=best.held_out_px,
+        rms_px=rms_px,
+        held_out_px=held_out_px,
         tilt_deg=tilt_deg(best.fit),
         residual=residual,
     )

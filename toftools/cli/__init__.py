@@ -13,6 +13,7 @@ VERBS = {
     "convert": "Turn a foreign file into a capture file.",
     "inspect": "Say what is in a file, and propose its convention.",
     "rig": "Capture a whole calibration with a virtual rig.",
+    "board": "Write a calibration board to print at true size.",
     "calibrate": "Fit what is wrong with a camera, and say how good that is.",
     "correct": "Turn a capture into a depth map.",
     "cloud": "Make a point cloud or a picture of one.",
