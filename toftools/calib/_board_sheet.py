@@ -106,7 +106,7 @@ def laid_out(board: Board, paper: str) -> Sheet:
     larger = [n for n, share in fits.items() if share >= 1]
     other = f", or --paper {larger[0]}" if larger else ""
     msg = (
-        f"the board is {width:.0f} x {height:.0f} mm and does not fit on {name}; squares of at most "
+        f"the board is {width:.0f} x {height:.0f} mm and does not fit on {name}; squares of up to "
         f"{np.floor(square * best * 10) / 10:.1f} mm would (got {square:g}){other}"
     )
     raise ValueError(msg)
