@@ -26,7 +26,7 @@ What is planted by default, and may be changed by --errors (none plants only wha
   pattern      fppn_rad=0.03
   temperature  sensor_rad_per_k=1e-3  light_rad_per_k=2.5e-3  reference_sensor_c=40
                reference_light_c=45  room_c=22  sensor_tau_s=600  light_tau_s=120
-  amplitude    amplitude_rad=6e-3  amplitude_bend_rad=8e-4  amplitude_wave_rad=2e-3
+  amplitude    amplitude_rad=0.012  amplitude_bend_rad=1e-3  amplitude_wave_rad=3e-3
   response     prnu=0.01  dsnu_e=10  dark_e=100  ab_gain=0.01  bad_share=5e-4
   unit=0       serial number, seed of the patterns
 A phase that is one number is that of the highest frequency; several, joined by +, one of each.

@@ -69,9 +69,9 @@ class Errors:
     room_c: float = 22.0
     sensor_tau_s: float = 600.0
     light_tau_s: float = 120.0
-    amplitude_rad: PerFreq = 6e-3
-    amplitude_bend_rad: PerFreq = 8e-4
-    amplitude_wave_rad: PerFreq = 2e-3
+    amplitude_rad: PerFreq = 0.012
+    amplitude_bend_rad: PerFreq = 1e-3
+    amplitude_wave_rad: PerFreq = 3e-3
     prnu: float = 0.01
     dsnu_e: float = 10.0
     dark_e: float = 100.0

@@ -4,9 +4,10 @@ Light of a small source at any place on Lambertian surfaces, direct only: per un
 a ray returns ``albedo cos / d^2`` over the path ``d + range``, d being the leg from the source.
 A print is sampled by many rays per pixel. Their complex sum over a surface is written with the
 first two moments of the path, ``S exp(j k mean - k^2 variance / 2)``, which is exact to third order
-in k times the spread of path within a pixel: a board tilted by 40 degrees at 0.4 m seen by 1.7 mm
-large pixels errs by 1e-9 of its light at 70 MHz, by 1e-5 at 2 GHz. Board and background are summed
-apart, so pixels at the edge fly as they should. No light goes from one surface to another.
+in k times the spread of path within a pixel: a board tilted by 40 degrees at 0.4 m and a wall at
+2 m, seen by 320 x 240 pixels of 70 degrees, err by 2e-9 of their light at 70 MHz and by 4e-5 at
+2.1 GHz, the 30th harmonic. Board and background are summed apart, so pixels at the edge fly as they
+should. No light goes from one surface to another.
 """
 
 from dataclasses import dataclass
