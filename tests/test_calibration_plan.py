@@ -57,6 +57,7 @@ def test_a_faultless_camera_is_good_at_its_noise_floor():
     assert f"{last.rms_mm:.1f} mm rms on 6 held-out captures" in found.sentence
 
 
+BENT = np.add.outer(np.linspace(-1, 1, 24) ** 2, np.linspace(-1, 1, 32) ** 2) - 0.7
 PATTERN = np.random.default_rng(5).normal(0, 0.03, SHAPE)
 
 
@@ -65,6 +66,8 @@ PATTERN = np.random.default_rng(5).normal(0, 0.03, SHAPE)
     [
         ("OFFSET LEFT", lambda: checks(lambda d, n: 0.05)),
         ("PATTERN LEFT", lambda: checks(lambda d, n: PATTERN)),
+        ("LENS ERROR LEFT",
+         lambda: checks(lambda d, n: range_to_phase(0.02 * d * BENT, FREQS))),
         ("CYCLIC ERROR LEFT",
          lambda: checks(lambda d, n: 0.07 * np.cos(4 * range_to_phase(d, FREQS) + 1))),
         ("DRIFT LEFT", lambda: checks(lambda d, n: 0.002 * (n - 2.5) ** 3,

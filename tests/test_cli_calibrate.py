@@ -1,10 +1,13 @@
 """``toftools calibrate``, ``correct --calib`` and ``inspect CAL.json`` as a user meets them."""
 
 import json
+import os
+import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from toftools.cli import main
 from toftools.conditions import Conditions
@@ -12,6 +15,8 @@ from toftools.io.conditions import write_conditions
 from toftools.io.native import read_capture, write_capture
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
+from toftools.sim.rig import Errors
+from toftools.sim.rig import rig as rig_of
 from toftools.sim.waveform import with_waveform
 from toftools.types import PixelMaps, Scene, Shot
 
@@ -304,3 +309,57 @@ def test_a_stage_of_your_own_needs_no_registration(capsys, folder, tmp_path, mon
                            tmp_path / "a.npz")  # fmt: skip
     assert code == 0, err
     assert "calibrated by" in said
+
+
+@pytest.fixture(scope="module")
+def boards():
+    """Captures of a board by a camera whose lens is not as its maker says."""
+    made = rig_of(sensor("opt8241:width=64,height=48"), Errors(), plan="small", frames=4)
+    return [capture for _, capture in made if capture.provenance["conditions"]["kind"] == "board"]
+
+
+def test_the_lens_from_pictures_of_a_board(capsys, tmp_path, boards):
+    for n, capture in enumerate(boards):
+        amplitude = np.abs(capture.phasors.values[0])
+        gray = (60_000 * amplitude / amplitude.max()).astype(np.uint16)
+        Image.fromarray(gray).save(tmp_path / f"board{n}.png")
+    out, files = tmp_path / "cal.json", sorted(tmp_path.glob("board*.png"))
+    code, _, err = call(capsys, "calibrate", "lens", *files, "--out", out)
+    assert (code, "give --sensor" in err) == (2, True), err
+    code, _, err = call(capsys, "calibrate", "lens", *files, "--out", out, "--sensor",
+                        "opt8241:width=32,height=24")  # fmt: skip
+    assert (code, "board0.png has 64 x 48 px, the camera 32 x 24" in err) == (2, True), err
+    code, _, err = call(capsys, "calibrate", "lens", *files, "--out", out, "--sensor",
+                        "opt8241:width=64,height=48", "--board",
+                        "chessboard:columns=7,rows=5,square_m=0.03")  # fmt: skip
+    assert code == 2
+    assert not out.exists()
+    code, said, err = call(capsys, "calibrate", "lens:distortion=4", *files, "--out", out,
+                           "--sensor", "opt8241:width=64,height=48", "--json")  # fmt: skip
+    assert code == 0, err
+    assert json.loads(said)["stages"][0]["after"] < 0.15
+    code, said, _ = call(capsys, "inspect", out, "--intrinsics", "opencv")
+    camera = json.loads(said)["camera_matrix"]["data"]
+    assert code == 0
+    assert camera[0] == pytest.approx(46.69, rel=0.02)  # 46.00 times 1.015
+
+
+def test_the_tables_of_a_vendor(capsys, tmp_path):
+    image = struct.pack("<4H", 40, 30, 0, 0)
+    (tmp_path / "odd.bin").write_bytes(image)
+    out = tmp_path / "cal.json"
+    code, _, err = call(capsys, "calibrate", "factory:ti", tmp_path / "odd.bin", "--out", out)
+    assert (code, "odd.bin is not readable as TI phase offsets" in err) == (2, True), err
+    code, _, err = call(capsys, "calibrate", "factory:to", tmp_path / "odd.bin", "--out", out)
+    assert (code, "unknown name 'to'; known: kinect2, ti, adi" in err) == (2, True), err
+    assert not out.exists()
+    data = os.environ.get("TOFTOOLS_DATA")
+    if data is None:
+        pytest.skip("TOFTOOLS_DATA names no folder of vendors' tables")
+    code, said, err = call(capsys, "calibrate", "factory:kinect2",
+                           f"{data}/kinect2_tables", "--out", out, "--json")  # fmt: skip
+    assert code == 0, err
+    found = json.loads(said)
+    assert [row["stage"] for row in found["stages"]][-2:] == ["common_phase", "fixed_pattern"]
+    code, said, _ = call(capsys, "inspect", out)
+    assert "calibration of kinect2, 512 x 424 px" in said

@@ -8,10 +8,12 @@ import numpy as np
 
 from toftools.types import F64
 
-CAUSES = ("offset", "temperature", "cyclic", "amplitude", "pattern", "unexplained")
+CAUSES = ("offset", "temperature", "lens", "cyclic", "amplitude", "pattern", "unexplained")
 """From the one with the least freedom to that with the most."""
-NEARLY = 0.8
+NEARLY = 0.7
 HARMONICS = 12
+BEND = 4
+"""Degree of the polynomials that stand for wrong rays."""
 AMPLITUDE_BINS = 12
 LEAST_SPAN_K = 1.0
 """Captures whose temperatures lie closer together than this say nothing about drift."""
@@ -29,6 +31,10 @@ class Errors:
         Measured minus expected range and its standard deviation, mm; NaN where unusable.
     phase_rad, amplitude : ndarray, (F, N)
         Measured phase, rad, and amplitude.
+    place : ndarray, (2, N)
+        Column and row of the pixels, from -1 at the left and upper edge to 1 at the others.
+    distance_m : float
+        Distance of the target along the axis, m; NaN if unknown.
     sensor_c, light_c : float
         Temperatures, degrees Celsius; NaN if unknown.
     freqs_hz : ndarray, (F,)
@@ -39,6 +45,8 @@ class Errors:
     noise_mm: F64
     phase_rad: F64
     amplitude: F64
+    place: F64
+    distance_m: float
     sensor_c: float
     light_c: float
     freqs_hz: F64
@@ -116,6 +124,7 @@ def _causes_of(errors: Sequence[Errors], f: int) -> dict[str, float]:
     parts: Mapping[str, float] = {
         "offset": offset**2,
         "pattern": _pattern(centred, level),
+        "lens": _lens(errors, centred, level),
         "cyclic": _explained(_waves(phase[known]), centred[known], level),
         "temperature": _temperature(errors, centred, level),
         "amplitude": _amplitude(log_amplitude[known], centred[known], level),
@@ -131,6 +140,19 @@ def _pattern(centred: F64, level: float) -> float:
     seen = count > 0
     mean = np.where(known, centred, 0).sum(axis=0)[seen] / count[seen]
     return max(float(np.mean(mean**2) - level * np.mean(1 / count[seen])), 0.0)
+
+
+def _lens(errors: Sequence[Errors], centred: F64, level: float) -> float:
+    """A smooth course over the image that grows with distance, as wrong rays make it."""
+    distance = np.array([one.distance_m for one in errors])
+    known = np.isfinite(centred)
+    if not np.isfinite(distance).all():
+        return 0.0
+    x, y = errors[0].place
+    powers = [(i, j) for i in range(BEND + 1) for j in range(BEND + 1) if 0 < i + j <= BEND]
+    shapes = np.stack([np.ones_like(x), *(x**i * y**j for i, j in powers)], axis=-1)  # (N, B)
+    basis = distance[:, None, None] * shapes
+    return _explained(basis[known], centred[known], level)
 
 
 def _waves(phase_rad: F64) -> F64:

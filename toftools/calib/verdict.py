@@ -2,10 +2,10 @@
 
 The range error e of every pixel of the held-out captures is compared with what its noise alone
 would leave. What is more is the excess, ``mean e^2 - mean sigma^2``, and each cause is given the
-part of it that it could explain on its own: one offset, a pattern that stands still on the pixels,
-a course with the measured phase, with temperature, with amplitude. The parts may overlap, since a
-handful of captures cannot tell all causes apart; the simplest one that explains nearly as much as
-the largest names the verdict.
+part of it that it could explain on its own: one offset, a course with temperature, a bend of the
+image that grows with distance (lens), a course with the measured phase, with amplitude, a pattern
+that stands still on the pixels. The parts may overlap, since a handful of captures cannot tell all
+causes apart; the simplest one that explains nearly as much as the largest names the verdict.
 
 It fails where the held-out captures do not show an error that the scene will: distances, angles,
 temperatures and brightnesses outside of theirs are not judged.
@@ -34,6 +34,7 @@ LARGEST_SIGMA_RAD = 0.5
 WORDS: Mapping[str, str] = {
     "offset": "OFFSET LEFT",
     "pattern": "PATTERN LEFT",
+    "lens": "LENS ERROR LEFT",
     "cyclic": "CYCLIC ERROR LEFT",
     "temperature": "DRIFT LEFT",
     "amplitude": "AMPLITUDE ERROR LEFT",
@@ -48,7 +49,11 @@ ADVICE: Mapping[str, str] = {
     ),
     "pattern": (
         "An error stands still on the pixels: capture more frames of a flat wall that fills the "
-        "view, and fit fixed_pattern; a bowl over the image speaks for the lens: fit it first."
+        "view, and fit fixed_pattern; their number bounds how well it is known."
+    ),
+    "lens": (
+        "Planes bend in proportion to their distance, as wrong rays make them: capture the board "
+        "in the corners of the image too, and fit lens and all stages after it."
     ),
     "cyclic": (
         "An error follows the measured phase: capture a rail or a delay sweep in steps of a tenth "
@@ -68,12 +73,6 @@ ADVICE: Mapping[str, str] = {
     ),
 }
 """What to do about a cause."""
-
-
-NO_LENS = (
-    "There is no lens stage: where the nominal optics are wrong, planes bend and tilted ones read "
-    "wrong most; capture a board and fit lens."
-)
 
 
 @dataclass(frozen=True)
@@ -196,8 +195,6 @@ def verdict(chain: Chain, captures: Sequence[Capture]) -> Verdict:
     sentence = _sentence(word, last, spots)
     causes = {name: math.sqrt(part) for name, part in parts.items()}
     advices = (advice,) if advice else ()
-    if word in (WORDS["unexplained"], WORDS["pattern"]) and chain.stage("lens") is None:
-        advices = (NO_LENS, *advices)
     return Verdict(word, sentence, advices, before, after, causes, spots)
 
 
@@ -231,10 +228,17 @@ def _errors(capture: Capture) -> Errors:
         noise_mm=np.where(good, 1e3 * noise, np.nan).reshape(len(error), -1),
         phase_rad=phase(phasors.values).reshape(len(error), -1),
         amplitude=np.abs(phasors.values).astype(np.float64).reshape(len(error), -1),
+        place=_places(error.shape[1:]),
+        distance_m=told.distance_m,
         sensor_c=told.sensor_c,
         light_c=told.light_c,
         freqs_hz=capture.sensor.modulation.freqs_hz,
     )
+
+
+def _places(shape: tuple[int, ...]) -> F64:
+    rows, columns = (np.linspace(-1, 1, n) for n in shape)
+    return np.stack([np.tile(columns, shape[0]), np.repeat(rows, shape[1])])
 
 
 def _from_neighbours(error_m: F64) -> F64:
