@@ -33,6 +33,8 @@ class Transfer:
         Pixels whose variance is beyond what chance allows.
     rounding : float
         Part of `variance` that a converter with whole numbers makes, DN squared.
+    covariance : float
+        Of `gain` and `variance`.
     """
 
     gain: float
@@ -41,6 +43,7 @@ class Transfer:
     variance_sd: float
     noisy: Bool
     rounding: float = 0.0
+    covariance: float = 0.0
 
     @property
     def read_e(self) -> float:
@@ -52,7 +55,8 @@ class Transfer:
         """Its standard deviation, electrons."""
         clean = max(self.variance - self.rounding, 1e-30)
         shares = self.variance_sd / (2 * clean), self.gain_sd / self.gain
-        return self.read_e * float(np.hypot(*shares))
+        mixed = self.covariance / (clean * self.gain)
+        return self.read_e * float(np.sqrt(max(shares[0] ** 2 + shares[1] ** 2 - mixed, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +117,7 @@ def transfer(
         slope, sd = _line(*_points(kept, noisy, typical=False))
     whole = all((x.taps.values == np.round(x.taps.values)).all() for x in lit)
     rounding = ROUNDING_VARIANCE if whole else 0.0
-    return Transfer(slope[0], sd[0], slope[1], sd[1], noisy, rounding)
+    return Transfer(slope[0], sd[0], slope[1], sd[1], noisy, rounding, sd[2])
 
 
 def repeats(
@@ -166,8 +170,10 @@ def _points(kept: Sequence[Repeats], noisy: Bool, *, typical: bool) -> tuple[F64
     return level, size, count
 
 
-def _line(level: F64, variance: F64, count: F64) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Weighted line: slope and value at the dark level, with their standard deviations."""
+def _line(
+    level: F64, variance: F64, count: F64
+) -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """Weighted line: slope and value at the dark level, their deviations and covariance."""
     if not np.ptp(level) > 1e-3 * float(np.abs(level).max()):
         return _flat(variance, count)
     fitted = np.maximum(variance, 1e-30)
@@ -178,13 +184,17 @@ def _line(level: F64, variance: F64, count: F64) -> tuple[tuple[float, float], t
         answer = covariance @ (basis * root[:, None]).T @ (variance * root)
         fitted = np.maximum(basis @ answer, 0.1 * variance)
     sd = np.sqrt(np.diag(covariance))
-    return (float(answer[0]), float(answer[1])), (float(sd[0]), float(sd[1]))
+    return (float(answer[0]), float(answer[1])), (
+        float(sd[0]),
+        float(sd[1]),
+        float(covariance[0, 1]),
+    )
 
 
-def _flat(variance: F64, count: F64) -> tuple[tuple[float, float], tuple[float, float]]:
+def _flat(variance: F64, count: F64) -> tuple[tuple[float, float], tuple[float, float, float]]:
     """As `_line`, from one level: no slope."""
     mean = float(np.average(variance, weights=count))
-    return (float("nan"), mean), (float("nan"), mean * float(np.sqrt(2 / count.sum())))
+    return (float("nan"), mean), (float("nan"), mean * float(np.sqrt(2 / count.sum())), 0.0)
 
 
 def _noisy(kept: Sequence[Repeats], line: tuple[float, float], z_bad: float) -> Bool:
