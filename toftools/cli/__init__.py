@@ -17,6 +17,7 @@ VERBS = {
     "calibrate": "Fit what is wrong with a camera, and say how good that is.",
     "correct": "Turn a capture into a depth map.",
     "cloud": "Make a point cloud or a picture of one.",
+    "register": "Colour a cloud from a second camera, or bring ranges to its picture.",
     "bench": "Run, score and report methods over captures.",
 }
 """Verb to its help line; the command itself is ``toftools.cli.<verb>:command``."""

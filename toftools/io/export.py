@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toftools.camera import points, range_to_z
 from toftools.io.atomic import atomic_path
 from toftools.io.native import write_capture
-from toftools.types import Camera, Capture, DepthMap
+from toftools.types import F32, Camera, Capture, DepthMap
 
 PNG_LIMIT_M = 65.535
 """Farthest z that 16-bit millimetres hold."""
@@ -125,9 +125,26 @@ def write_png16(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     ValueError
         If a z does not fit 16-bit millimetres.
     """
+    write_z16(path, range_to_z(camera, depth.range_m))
+
+
+def write_z16(path: Path | str, z_m: F32) -> None:
+    """Write axial z as a 16-bit PNG in millimetres, 0 where there is none.
+
+    Parameters
+    ----------
+    path : path
+        Target.
+    z_m : ndarray, (H, W)
+        Distance along the axis, m; NaN where unknown.
+
+    Raises
+    ------
+    ValueError
+        If a z does not fit 16-bit millimetres.
+    """
     import cv2
 
-    z_m = range_to_z(camera, depth.range_m)
     # np.round(z * 1000) in float64: float32 millimetres are exact only below 16.7 m.
     millimetres = np.round(np.nan_to_num(z_m.astype(np.float64), nan=0.0) * 1000).clip(min=0)
     if millimetres.max() > 65_535:
@@ -144,7 +161,13 @@ def write_png16(path: Path | str, depth: DepthMap, camera: Camera) -> None:
         temporary.write_bytes(encoded.tobytes())
 
 
-def write_ply(path: Path | str, depth: DepthMap, camera: Camera) -> None:
+def write_ply(
+    path: Path | str,
+    depth: DepthMap,
+    camera: Camera,
+    *,
+    colours: NDArray[np.uint8] | None = None,
+) -> None:
     """Write the answered pixels as a binary little-endian PLY cloud.
 
     Parameters
@@ -155,6 +178,8 @@ def write_ply(path: Path | str, depth: DepthMap, camera: Camera) -> None:
         The answer.
     camera : Camera
         Its camera.
+    colours : ndarray, (H, W, 3), uint8, or None
+        Red, green and blue of every pixel.
 
     Raises
     ------
@@ -164,18 +189,22 @@ def write_ply(path: Path | str, depth: DepthMap, camera: Camera) -> None:
     Notes
     -----
     Float properties x, y, z (m; x right, y down, z forward), then amplitude, sigma_m and
-    confidence where the answer has them.
+    confidence where the answer has them; then red, green and blue as bytes.
     """
     known = np.isfinite(depth.range_m)
     if not known.any():
         msg = "no pixel has an answer, so there is no cloud to write; write .npz for the status"
         raise ValueError(msg)
-    columns = dict(zip("xyz", points(camera, depth.range_m)[known].T, strict=True))
+    columns: dict[str, Any] = dict(zip("xyz", points(camera, depth.range_m)[known].T, strict=True))
     for name in ("amplitude", "sigma_m", "confidence"):
         extra = getattr(depth, name)
         if extra is not None:
             columns[name] = extra[known]
-    vertices = np.empty(int(known.sum()), [(name, "<f4") for name in columns])
+    kinds = dict.fromkeys(columns, ("float", "<f4"))
+    if colours is not None:
+        for name, channel in zip(("red", "green", "blue"), colours[known].T, strict=True):
+            columns[name], kinds[name] = channel, ("uchar", "u1")
+    vertices = np.empty(int(known.sum()), [(name, kind) for name, (_, kind) in kinds.items()])
     for name, column in columns.items():
         vertices[name] = column
     header = [
@@ -183,7 +212,7 @@ def write_ply(path: Path | str, depth: DepthMap, camera: Camera) -> None:
         "format binary_little_endian 1.0",
         "comment toftools: metres, x right, y down, z forward",
         f"element vertex {vertices.size}",
-        *(f"property float {name}" for name in columns),
+        *(f"property {word} {name}" for name, (word, _) in kinds.items()),
         "end_header\n",
     ]
     with atomic_path(path) as temporary:
