@@ -79,6 +79,18 @@ def test_dark_levels_gains_and_noise_come_back_within_their_deviations(modulated
     assert "no curve" in stage.residual.notes[1]
 
 
+def test_a_companded_converter_needs_no_curve_and_hides_no_gain():
+    device = sensor(TWO_TAP.replace("dn_per_e=0.5", "full_well_e=40000,companding=kinect2"))
+    stage = response(bench(device))
+    dark, gain = planted(device)
+    assert stage.curve.size == 2  # its taps are numbers already, in steps that grow with the signal
+    assert 0.93 < scatter(stage.gain - gain, stage.gain_sd) < 1.07
+    assert 0.95 < scatter(stage.offset - dark, stage.offset_sd) < 1.05
+    assert abs(stage.dn_per_e - device.noise.gain_dn_per_e) < 4 * stage.dn_per_e_sd
+    wanted = np.hypot(20, np.sqrt(pixel_maps(device).dark_e.mean()))
+    assert abs(stage.read_e - wanted) < 4 * stage.read_e_sd
+
+
 @pytest.mark.parametrize("modulated", [False, True], ids=["ambient", "modulated"])
 def test_a_bent_read_out_is_straightened(modulated):
     device = replace(sensor(TWO_TAP), name="bent")

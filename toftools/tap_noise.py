@@ -46,7 +46,7 @@ def phasor_sigma(
     power = (np.abs(weights) ** 2 / 2).astype(np.float32)  # (F, K)
     tap_e2 = taps.values * np.float32(1 / gain) + np.float32(noise.read_e**2)
     if taps.unit == "DN":
-        tap_e2 += np.float32(1 / gain**2) * _rounding_dn2(taps.values, noise)
+        tap_e2 += np.float32(1 / gain**2) * rounding_dn2(taps.values, noise)
     tap_e2 = np.maximum(tap_e2, 0)  # of the sum: read noise about zero must average out
     variance_e = np.einsum("fk,fkhw->fhw", power, tap_e2)
     if not _same_in_every_direction(weights):
@@ -60,11 +60,23 @@ def phasor_sigma(
     return np.asarray(gain * np.sqrt(variance_e), dtype=np.float32)
 
 
-def _rounding_dn2(values: F32, noise: Noise) -> F32 | np.float32:
+def rounding_dn2(values: F32, noise: Noise) -> F32 | np.float32:
     """Variance of rounding to numbers of the converter: uniform noise over the cell of each.
 
     A cell as wide as w has w^2 / 12 (EMVA Standard 1288, Release 4.0 Linear, for w = 1 DN), good
     where other noise is wider than half a cell.
+
+    Parameters
+    ----------
+    values : ndarray
+        Taps, DN.
+    noise : Noise
+        Its `codes_dn`.
+
+    Returns
+    -------
+    ndarray or float, float32
+        Variance, DN squared; one number for a linear converter.
     """
     if not noise.codes_dn:
         return np.float32(1 / 12)

@@ -8,7 +8,8 @@ import numpy as np
 from toftools.calib._response_offset import is_modulated, offset_weights
 from toftools.calib.residuals import same_sensor
 from toftools.conditions import conditions_of, name_of
-from toftools.types import F64, Bool, Capture, Taps
+from toftools.tap_noise import rounding_dn2
+from toftools.types import F32, F64, Bool, Capture, Taps
 
 ORDERS = 4
 """Powers of the taps that are kept: curves of up to this degree."""
@@ -32,8 +33,10 @@ class Level:
         Pixels below saturation.
     modulated : bool
         Whether the light moves taps against each other.
-    taps : ndarray, (F, K, H, W)
+    taps : Taps
         The taps themselves.
+    rounding : ndarray or float
+        Variance that rounding to numbers of the converter adds to each tap.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Level:
     ok: Bool
     modulated: bool
     taps: Taps
+    rounding: F32 | np.float32
 
     @property
     def n_taps(self) -> int:
@@ -187,7 +191,15 @@ def reduced(capture: Capture, exposure: float, top: float, saturation: float) ->
         for n in range(nodes):
             moments[order, n] = np.einsum("fk,fkhw->hw", weights[n], power[:, n::nodes])
         power *= values
-    return Level(name_of(capture), exposure, moments, ok, modulated, taps)
+    return Level(name_of(capture), exposure, moments, ok, modulated, taps, _rounding(capture))
+
+
+def _rounding(capture: Capture) -> F32 | np.float32:
+    """As of `Level`: averaged frames and electrons are not rounded."""
+    taps = taps_of(capture)
+    if taps.unit == "e-" or (taps.values != np.round(taps.values)).any():
+        return np.float32(0)
+    return rounding_dn2(taps.values, capture.sensor.noise)
 
 
 def _top(taps: Sequence[Taps], saturation: float) -> float:

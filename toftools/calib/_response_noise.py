@@ -4,6 +4,7 @@
 Standard 1288, Release 4.0 Linear). The variance is that of repeated taps: the same tap in captures
 of one exposure, or the taps of one node where the light is not modulated. Patterns drop out of
 differences between repeats, and so does a lamp that flickers, whose mean is taken off each repeat.
+What rounding to numbers of the converter adds is known and taken off.
 """
 
 from collections.abc import Sequence
@@ -15,9 +16,6 @@ from toftools.calib._response_data import Level
 from toftools.calib._response_fit import curve_values
 from toftools.types import F64, Bool
 
-ROUNDING_VARIANCE = 1 / 12
-"""Of a converter with whole numbers, DN squared."""
-
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
@@ -28,13 +26,14 @@ class Transfer:
     gain, gain_sd : float
         Conversion gain, DN per electron; NaN without repeats of a flat.
     variance, variance_sd : float
-        Temporal variance of a dark tap, DN squared; NaN without repeats of the dark.
+        Temporal variance of a dark tap without that of rounding, DN squared; NaN if nothing
+        repeats.
     noisy : ndarray, (H, W), bool
         Pixels whose variance is beyond what chance allows.
-    rounding : float
-        Part of `variance` that a converter with whole numbers makes, DN squared.
     covariance : float
         Of `gain` and `variance`.
+    rounding : float
+        Variance that the converter adds to a dark tap, DN squared.
     """
 
     gain: float
@@ -42,18 +41,18 @@ class Transfer:
     variance: float
     variance_sd: float
     noisy: Bool
-    rounding: float = 0.0
     covariance: float = 0.0
+    rounding: float = 0.0
 
     @property
     def read_e(self) -> float:
-        """Noise of a dark tap without that of rounding, electrons."""
-        return float(np.sqrt(max(self.variance - self.rounding, 0.0)) / self.gain)
+        """Noise of a dark tap, electrons."""
+        return float(np.sqrt(max(self.variance, 0.0)) / self.gain)
 
     @property
     def read_e_sd(self) -> float:
         """Its standard deviation, electrons."""
-        clean = max(self.variance - self.rounding, 1e-30)
+        clean = max(self.variance, 1e-30)
         shares = self.variance_sd / (2 * clean), self.gain_sd / self.gain
         mixed = self.covariance / (clean * self.gain)
         return self.read_e * float(np.sqrt(max(shares[0] ** 2 + shares[1] ** 2 - mixed, 0)))
@@ -115,9 +114,8 @@ def transfer(
         rough, _ = _line(*_points(kept, np.zeros_like(good), typical=True))
         noisy = _noisy(kept, rough, z_bad)
         slope, sd = _line(*_points(kept, noisy, typical=False))
-    whole = all((x.taps.values == np.round(x.taps.values)).all() for x in lit)
-    rounding = ROUNDING_VARIANCE if whole else 0.0
-    return Transfer(slope[0], sd[0], slope[1], sd[1], noisy, rounding, sd[2])
+    rounding = float(np.mean([np.mean(level.rounding) for level in dark]))
+    return Transfer(slope[0], sd[0], slope[1], sd[1], noisy, sd[2], rounding)
 
 
 def repeats(
@@ -142,16 +140,19 @@ def repeats(
     values = top * curve_values(terms, np.where(np.isfinite(values), values, 0.0) / top)
     r, f, k, h, w = values.shape
     values = values.reshape(r, f * k, h, w) - offset[np.arange(f * k) % nodes]
+    rounding = np.stack([np.broadcast_to(x.rounding, (f, k, h, w)) for x in group])
     if r < 2:
         if group[0].modulated or f * k == nodes:
             return None
         values = values.reshape(f * k // nodes, nodes, h, w)
+    rounding = rounding.reshape(values.shape).mean(axis=0)
     use = good & np.logical_and.reduce([level.ok for level in group])
     if not use.any():
         return None
     common = values[:, :, use].mean(axis=-1)
     values = values - (common - common.mean(axis=0))[:, :, None, None]
-    return Repeats(values.mean(axis=0), values.var(axis=0, ddof=1), values.shape[0] - 1, use)
+    variance = values.var(axis=0, ddof=1) - rounding
+    return Repeats(values.mean(axis=0), variance, values.shape[0] - 1, use)
 
 
 def _points(kept: Sequence[Repeats], noisy: Bool, *, typical: bool) -> tuple[F64, F64, F64]:

@@ -226,7 +226,9 @@ def response(
     curve = fit_curve(dark, lit, rough_good(dark, lit))
     offset, light, light_sd, pull = fit_gain(dark, lit, curve.terms)
     found = transfer(dark, lit, curve.terms, top, top * offset, rough_good(dark, lit), z_bad)
-    offset_sd = np.sqrt(found.variance * offset.shape[0] / (len(dark) * dark[0].n_taps))
+    offset_sd = np.sqrt(
+        (found.variance + found.rounding) * offset.shape[0] / (len(dark) * dark[0].n_taps)
+    )
     bad, shading = bad_pixels(offset, light, found.noisy, float(offset_sd) / top, z_bad)
     notes = noted(bad, shading, curve, lit, found)
     light_sd = np.hypot(light_sd, pull * offset_sd / top)
