@@ -329,12 +329,9 @@ def test_the_lens_from_pictures_of_a_board(capsys, tmp_path, boards):
     code, _, err = call(capsys, "calibrate", "lens", *files, "--out", out, "--sensor",
                         "opt8241:width=32,height=24")  # fmt: skip
     assert (code, "board0.png has 64 x 48 px, the camera 32 x 24" in err) == (2, True), err
-    code, _, err = call(capsys, "calibrate", "lens", *files, "--out", out, "--sensor",
-                        "opt8241:width=64,height=48", "--board",
-                        "chessboard:columns=7,rows=5,square_m=0.03")  # fmt: skip
-    assert code == 2
     assert not out.exists()
-    code, said, err = call(capsys, "calibrate", "lens:distortion=4", *files, "--out", out,
+    few = "lens:distortion=4,hold_out=2"
+    code, said, err = call(capsys, "calibrate", few, *files, "--out", out,
                            "--sensor", "opt8241:width=64,height=48", "--json")  # fmt: skip
     assert code == 0, err
     assert json.loads(said)["stages"][0]["after"] < 0.15

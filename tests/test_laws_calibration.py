@@ -17,9 +17,10 @@ from toftools.sensors import sensor
 from toftools.sim.rig import Errors, rig
 from toftools.types import Phasors, Taps
 
-SMALL, LARGE = "opt8241:width=32,height=24", "opt8241:width=80,height=60"
+SMALL, LARGE = "opt8241:width=32,height=24", "opt8241:width=64,height=48"
 ODD = "opt8241:width=40,height=30"
 SECOND_CAMERA = ("extrinsics",)  # its pictures come from elsewhere: tests/test_extrinsics.py
+QUICK = {"lens": {"distortion": 4, "hold_out": 2}, "lens_fisheye": {"hold_out": 2}}
 ENTRIES = [name for name in CALIBRATIONS if slot_of(name) not in SECOND_CAMERA]
 
 
@@ -34,9 +35,13 @@ def given(name):
     return for_stage(slot_of(name), captures_of(size))
 
 
+def fitted(name, captures):
+    return CALIBRATIONS[name].build(captures, **QUICK.get(name, {}))
+
+
 @cache
 def stage_of(name):
-    return CALIBRATIONS[name].build(given(name))
+    return fitted(name, given(name))
 
 
 def frame(stage_name):
@@ -97,7 +102,7 @@ def test_the_residual_is_told_and_does_not_grow(name):
 def test_fits_agree_with_themselves_and_leave_their_input_alone(name):
     captures = given(name)
     before = pickle.dumps([(c.phasors.values, c.phasors.valid, c.taps.values) for c in captures])
-    again = CALIBRATIONS[name].build(list(captures))
+    again = fitted(name, list(captures))
     after = pickle.dumps([(c.phasors.values, c.phasors.valid, c.taps.values) for c in captures])
     assert before == after
     if slot_of(name) == "temperature":
@@ -149,7 +154,7 @@ def test_a_saved_stage_corrects_bit_for_bit_alike(name, tmp_path):
 @pytest.mark.parametrize("name", ENTRIES)
 def test_no_capture_is_refused(name):
     with pytest.raises(ValueError, match=r"\w+ .*(none|no |0 |nothing|needs)"):
-        CALIBRATIONS[name].build([])
+        fitted(name, [])
 
 
 def resized(capture):
@@ -163,7 +168,7 @@ def resized(capture):
 def test_mixed_resolutions_are_refused_by_name(name):
     captures = given(name)
     with pytest.raises(ValueError, match=r"odd_one\.h5 has 40 x 30 px"):
-        CALIBRATIONS[name].build([*captures[:-1], resized(captures[-1])])
+        fitted(name, [*captures[:-1], resized(captures[-1])])
 
 
 @pytest.mark.parametrize("name", ENTRIES)
@@ -174,7 +179,7 @@ def test_mixed_frequencies_are_refused_by_name(name):
     odd = replace(last, sensor=replace(last.sensor, modulation=modulation))
     odd = with_conditions(odd, conditions_of(last), file="odd_one.h5")
     with pytest.raises(ValueError, match=r"odd_one\.h5 was taken at 20 \+ 70 MHz"):
-        CALIBRATIONS[name].build([*captures[:-1], odd])
+        fitted(name, [*captures[:-1], odd])
 
 
 @pytest.mark.parametrize("name", ENTRIES)
@@ -186,7 +191,7 @@ def test_a_frame_that_shows_nothing_does_not_turn_into_nan(name):
     taps = Taps(last.taps.values, last.taps.unit, dead.valid)
     captures[-1] = replace(last, taps=taps, phasors=dead)
     try:
-        stage = CALIBRATIONS[name].build(captures)
+        stage = fitted(name, captures)
     except ValueError as error:
         assert name_of(last) in str(error)
     else:

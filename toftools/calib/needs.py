@@ -184,10 +184,8 @@ def missing_before(slot: str, present: Sequence[str]) -> str:
     if not gone:
         return ""
     what = gone[0] if len(gone) == 1 else ", ".join(gone[:-1]) + " and " + gone[-1]
-    return (
-        f"{slot} is fitted without {what}, so their errors go into it; a chain to which they are "
-        f"added later needs {slot} fitted again"
-    )
+    whose, they = ("its errors go", "it is") if len(gone) == 1 else ("their errors go", "they are")
+    return f"{slot} is fitted without {what}, so {whose} into it; fit it again once {they} there"
 
 
 def counted(captures: Sequence[Capture]) -> str:

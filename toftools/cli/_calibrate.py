@@ -122,7 +122,7 @@ def _chosen(job: Job, slot: str) -> tuple[Capture, ...]:
     opened = opened_captures(job, USUAL_KIND[slot])
     captures = for_stage(slot, opened)
     if len(captures) < len(opened):
-        _warn(f"{slot} takes {counted(captures)} and leaves the others alone")
+        job.say(f"{slot} takes {counted(captures)} out of {len(opened)} captures")
     return captures
 
 
@@ -136,15 +136,15 @@ def _whole(job: Job) -> dict[str, Any]:
     captures = opened_captures(job, "")
     made = plan(captures, entries=job.entries, skip=job.skip)
     fitted = [step for step in made.steps if not step.reason]
-    for line in plan_lines(made):
+    chain = chain_for(captures[0].sensor)
+    if job.start is not None:
+        chain = load_chain(job.start, trusted=job.trust)
+    for line in plan_lines(made, chain):
         job.say(line)
     if not fitted:
         msg = "nothing to fit: no stage has the captures it needs, see the plan"
         raise ValueError(msg)
     _check_held_out(made)
-    chain = chain_for(captures[0].sensor)
-    if job.start is not None:
-        chain = load_chain(job.start, trusted=job.trust)
     with progress(verbose=job.verbose, engines="toftools.calib"):
         chain, outcomes = fit_plan(made, chain, _params(job))
         judged = verdict(chain, made.held_out)

@@ -193,13 +193,15 @@ def figure(value: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def plan_lines(plan: Plan) -> list[str]:
+def plan_lines(plan: Plan, chain: Chain) -> list[str]:
     """A plan, a stage a line.
 
     Parameters
     ----------
     plan : Plan
         What will be fitted.
+    chain : Chain
+        What is there already.
 
     Returns
     -------
@@ -210,6 +212,9 @@ def plan_lines(plan: Plan) -> list[str]:
 
     lines = ["plan"]
     for step in plan.steps:
+        if step.reason and chain.stage(step.slot) is not None:
+            lines.append(f"  {step.slot:<15}stays as it was")
+            continue
         if step.reason:
             lines += wrapped(f"skipped: {step.reason}", f"  {step.slot:<15}")
             continue
