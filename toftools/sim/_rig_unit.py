@@ -147,7 +147,7 @@ def unit_of(errors: Errors, sensor: Sensor) -> Unit:
         sensor_rad_per_k=per_freq_phase_rad(errors.sensor_rad_per_k, nominal),
         light_rad_per_k=per_freq_phase_rad(errors.light_rad_per_k, nominal),
         amplitude_rad=np.stack([per_freq_phase_rad(term, nominal) for term in terms]),
-        reference=reference_amplitude(nominal),
+        reference=reference_amplitude(nominal, camera),
         bad=bad,
         errors=errors,
     )
@@ -158,9 +158,27 @@ def level_e(sensor: Sensor) -> float:
     return min(LEVEL * sensor.noise.signal_e, FILL * sensor.noise.full_well_e)
 
 
-def reference_amplitude(sensor: Sensor) -> F64:
-    """Amplitude of that charge per frequency, unit of the taps, (F,)."""
-    return (sensor.noise.gain_dn_per_e or 1.0) * contrasts(sensor) * level_e(sensor)
+def reference_amplitude(sensor: Sensor, camera: Camera) -> F64:
+    """Geometric mean amplitude of a facing wall that puts `level_e` on the axis, per frequency.
+
+    So the amplitude-related error is zero on average over the pixels of walls, rail and delay
+    sweep, and leaves common phase and wiggling nearly alone.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Electronics.
+    camera : Camera
+        True optics.
+
+    Returns
+    -------
+    ndarray, (F,)
+        Amplitude, unit of the taps.
+    """
+    forward = np.maximum(rays(camera)[..., 2], 0.05)
+    falls = float(np.exp(3 * np.log(forward).mean()))  # cos of the surface, cos^2 of the way
+    return falls * (sensor.noise.gain_dn_per_e or 1.0) * contrasts(sensor) * level_e(sensor)
 
 
 def _nominal(sensor: Sensor) -> Sensor:
