@@ -1,9 +1,9 @@
 """Fit of the amplitude error of one frequency, given how many functions it may have.
 
-Weighted least squares on pixels of several brightnesses. Each pixel may have an offset of its own,
-a rest of the fixed pattern: it is a random effect, whose variance comes from the residuals, so
-that brightnesses of one pixel count against each other as far as pixels differ. Each capture may
-have one as well, from a wrong distance: it widens the standard deviations.
+Weighted least squares on pixels of several brightnesses. Each pixel has an offset of its own, a
+rest of the fixed pattern, which may hang together with the light that falls on it: brightnesses of
+one pixel count against each other only. Each capture may have one as well, from a wrong distance:
+it widens the standard deviations.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,8 @@ from toftools.types import F64
 
 HUBER, CUT = 2.0, 6.0
 ROUNDS = 4
+FREE_RAD = 1.0
+"""Offsets of pixels are drawn to 0 with this standard deviation, which is as good as not."""
 FILL = 1e-6
 """Weight of the penalty relative to the data of an average coefficient."""
 
@@ -87,7 +89,7 @@ def normal(samples: Samples, shape: tuple[int, int], fitted_rad: F64 | float = 0
     flat = design(samples.amplitude.ravel(), phase.ravel(), samples.span, shape)
     rows = flat.reshape(*phase.shape, -1)  # (K, P, n)
     heavy = rows * samples.weight[..., None]
-    gram = np.stack([h.T @ r for h, r in zip(heavy, rows, strict=True)])
+    gram = heavy.transpose(0, 2, 1) @ rows
     product = np.einsum("kpn,kp->kn", heavy, samples.error_rad)
     square = (samples.weight * samples.error_rad**2).sum(axis=1)
     fill = (
@@ -99,20 +101,18 @@ def normal(samples: Samples, shape: tuple[int, int], fitted_rad: F64 | float = 0
     return Normal(rows, gram, product, square, fill)
 
 
-def without(parts: Normal, k: int) -> F64:
-    """Coefficients of a fit to all captures but one."""
-    gram = parts.gram.sum(axis=0) - parts.gram[k] + parts.fill
-    return np.asarray(np.linalg.solve(gram, parts.product.sum(axis=0) - parts.product[k]))
+def without(parts: Normal) -> F64:
+    """Coefficients of fits to all captures but one, (K, n)."""
+    gram = parts.gram.sum(axis=0) + parts.fill - parts.gram
+    product = parts.product.sum(axis=0) - parts.product
+    return np.asarray(np.linalg.solve(gram, product[..., None])[..., 0])
 
 
 def losses(parts: Normal) -> F64:
     """Weighted squares of each capture under a fit to all others, (K,)."""
-    out = []
-    for k in range(parts.square.size):
-        theta = without(parts, k)
-        fit = theta @ parts.gram[k] @ theta - 2 * theta @ parts.product[k]
-        out.append(parts.square[k] + fit)
-    return np.array(out)
+    theta = without(parts)
+    fit = np.einsum("ki,kij,kj->k", theta, parts.gram, theta)
+    return np.asarray(parts.square + fit - 2 * (theta * parts.product).sum(axis=1))
 
 
 def robust(samples: Samples, shape: tuple[int, int]) -> Samples:
@@ -133,13 +133,12 @@ def robust(samples: Samples, shape: tuple[int, int]) -> Samples:
     """
     parts = normal(samples, shape)
     known = samples.weight > 0
-    rows = parts.rows.reshape(-1, parts.rows.shape[-1])
     weight, usual = samples.weight, 1.0
     for _ in range(ROUNDS):
-        flat = weight.ravel()
-        heavy = rows * flat[:, None]
-        theta = np.linalg.solve(heavy.T @ rows + parts.fill, heavy.T @ samples.error_rad.ravel())
-        rest = samples.error_rad - parts.rows @ theta
+        heavy = parts.rows * weight[..., None]
+        gram = (heavy.transpose(0, 2, 1) @ parts.rows).sum(axis=0)  # capture by capture is faster
+        product = np.einsum("kpn,kp->n", heavy, samples.error_rad)
+        rest = samples.error_rad - parts.rows @ np.linalg.solve(gram + parts.fill, product)
         away = np.abs(rest) * np.sqrt(samples.weight)
         usual = max(MAD_TO_SIGMA * float(np.median(away[known])), 1e-12)
         trust = np.where(away < CUT * usual, HUBER / np.maximum(away / usual, HUBER), 0.0)
@@ -179,20 +178,26 @@ def solved(samples: Samples, shape: tuple[int, int]) -> tuple[F64, F64, F64]:
 
 
 def _mixed(samples: Samples, parts: Normal, rest: F64) -> tuple[F64, F64]:
-    """Generalised least squares with a random offset per pixel, given residuals."""
+    """Least squares with an offset per pixel, and the covariance, given residuals.
+
+    With weights w and functions X of a pixel, ``A = diag(w) - s w w^T`` takes its weighted mean
+    off. The noise has covariance ``diag(1 / w) + between``, so that of the coefficients is
+    ``H^-1 (sum X^T A cov A X) H^-1`` with ``H = sum X^T A X``.
+    """
     weight = samples.weight
-    per_pixel = weight.sum(axis=0)
-    between = _pixel_variance(weight, rest)
-    shrink = between / (1 + between * per_pixel)  # of the outer product of weighted sums
+    total = weight.sum(axis=0)
+    s = FREE_RAD**2 / (1 + FREE_RAD**2 * total)
     sums = np.einsum("kp,kpn->pn", weight, parts.rows)
     errors = (weight * samples.error_rad).sum(axis=0)
-    gram = parts.gram.sum(axis=0) - (sums * shrink[:, None]).T @ sums + parts.fill
-    inverse = np.linalg.inv(gram)
-    theta = inverse @ (parts.product.sum(axis=0) - sums.T @ (shrink * errors))
-    covariance = inverse @ (gram - parts.fill) @ inverse
+    plain = parts.gram.sum(axis=0)
+    inverse = np.linalg.inv(plain - (sums * s[:, None]).T @ sums + parts.fill)
+    theta = inverse @ (parts.product.sum(axis=0) - sums.T @ (s * errors))
+    between = _pixel_variance(weight, rest)
+    taken = 2 * s - s**2 * total - between * (1 - s * total) ** 2
+    covariance = inverse @ (plain - (sums * taken[:, None]).T @ sums) @ inverse
     # Influence of an offset of a whole capture, and its variance beyond what noise explains.
     offset = np.einsum("kpn,kp->kn", parts.rows, weight) - np.einsum(
-        "pn,kp->kn", sums * shrink[:, None], weight
+        "pn,kp->kn", sums * s[:, None], weight
     )
     influence = offset @ inverse
     spread = _capture_variance(weight, samples.error_rad - parts.rows @ theta, theta.size)

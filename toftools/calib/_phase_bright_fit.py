@@ -20,7 +20,7 @@ SHAPES = ((2, 1), (3, 1), (4, 1), (6, 1), (2, 4), (3, 4), (4, 4), (4, 6), (6, 6)
 MOST_PIXELS, MOST_SAMPLES, LEAST_PIXELS = 3000, 60_000, 400
 LEAST_CAPTURES = 3
 LEAST_CONTRAST = 1.5
-"""Ratio of the brightest to the darkest tenth below which there is nothing to fit."""
+"""Ratio of the brightest to the darkest capture below which there is nothing to fit."""
 WHOLE_TURN = 0.8
 """Share of the turn that phases must cover for functions of phase."""
 ENDS = (0.5, 99.5)
@@ -142,8 +142,13 @@ def _samples(error: F64, sigma: F64, level: F64, expected: F64) -> Samples:
 def _check_contrast(samples: Sequence[Samples]) -> None:
     least = np.inf
     for part in samples:
-        low, high = np.percentile(part.amplitude[part.weight > 0], (10, 90))
-        least = min(least, high / low)
+        levels = np.array(
+            [
+                np.median(level[weight > 0])
+                for level, weight in zip(part.amplitude, part.weight, strict=True)
+            ]
+        )
+        least = min(least, float(levels.max() / levels.min()))
     if least < LEAST_CONTRAST:
         msg = (
             f"the captures for amplitude differ in brightness by a factor of {least:.2f} only, "
@@ -246,7 +251,7 @@ def _errors(samples: Samples, shape: tuple[int, int], *, used: bool) -> tuple[F6
         return before, before, before
     _, _, fitted = solved(samples, shape)
     parts = normal(samples, shape)
-    held = np.stack([rows @ without(parts, k) for k, rows in enumerate(parts.rows)])
+    held = (parts.rows @ without(parts)[..., None])[..., 0]
     return before, before - fitted, before - held
 
 

@@ -94,7 +94,7 @@ def over_phase(phase_rad: F64, count: int) -> Local:
     """
     if count == 1:
         return np.zeros(np.shape(phase_rad), np.intp), [np.ones(np.shape(phase_rad))]
-    place = np.asarray(phase_rad) * (count / TWO_PI)
+    place = np.nan_to_num(phase_rad) * (count / TWO_PI)
     cell = np.floor(place)
     return cell.astype(np.intp) - 1, uniform(place - cell, 3)
 
@@ -117,10 +117,10 @@ def design(amplitude: F64, phase_rad: F64, span: F64, shape: tuple[int, int]) ->
         Rows of numbers that add up to 1.
     """
     first, up = over_amplitude(amplitude, span, shape[0])
-    start, round_ = over_phase(phase_rad, shape[1])
+    start, around = over_phase(phase_rad, shape[1])
     rows, out = np.arange(first.size), np.zeros((first.size, shape[0] * shape[1]))
     for i, across in enumerate(up):
-        for j, along in enumerate(round_):
+        for j, along in enumerate(around):
             out[rows, (first + i) * shape[1] + (start + j) % shape[1]] += across * along
     return out
 
@@ -145,11 +145,11 @@ def surface(knots: F64, amplitude: F64, phase_rad: F64, span: F64) -> F64:
     if not knots.any():
         return np.zeros(np.broadcast(amplitude, phase_rad).shape)
     first, up = over_amplitude(amplitude, span, knots.shape[0])
-    start, round_ = over_phase(phase_rad, knots.shape[1])
+    start, around = over_phase(phase_rad, knots.shape[1])
     total = np.zeros(np.broadcast(amplitude, phase_rad).shape)
-    columns = [(start + j) % knots.shape[1] for j in range(len(round_))]
+    columns = [(start + j) % knots.shape[1] for j in range(len(around))]
     for i, across in enumerate(up):
-        along = sum(w * knots[first + i, c] for w, c in zip(round_, columns, strict=True))
+        along = sum(w * knots[first + i, c] for w, c in zip(around, columns, strict=True))
         total += across * along
     return total
 
