@@ -90,7 +90,9 @@ NEEDS: Mapping[str, Need] = {
     ),
     "extrinsics": Need(
         (),
-        "give the pictures of the colour camera to toftools calibrate extrinsics",
+        "give the pictures of the second camera and its intrinsics: toftools calibrate "
+        "extrinsics:colour=FOLDER,intrinsics=FILE BOARDS...",
+        ("lens",),
     ),
 }  # fmt: skip
 """Slot to what it needs."""
