@@ -124,11 +124,12 @@ def test_a_tilted_wall_arrives_in_the_other_camera(colour):
     normal = np.array([0.4, -0.2, -1.0])
     range_m = -1.5 / (rays(TOF) @ normal)
     z_m = register_depth(Extrinsics(R, T, colour), TOF, range_m)
-    way = rays(colour) @ R
+    own = rays(colour)
+    way = own @ R
     length = (-1.5 - normal @ (-R.T @ T)) / (way @ normal)
     known = np.isfinite(z_m)
-    np.testing.assert_allclose(z_m[known], range_to_z(colour, length)[known], atol=5e-4)
-    u, v = project(TOF, (rays(colour) * length[..., None] - T) @ R)
+    np.testing.assert_allclose(z_m[known], (own[..., 2] * length)[known], atol=5e-4)
+    u, v = project(TOF, (own * length[..., None] - T) @ R)
     seen = (u > 0) & (u < 159) & (v > 0) & (v < 119)
     assert seen.mean() > 0.3
     assert known[seen].all()
@@ -168,6 +169,24 @@ def test_a_range_image_without_its_distortion(camera):
 def test_a_pinhole_of_no_angle_is_refused():
     with pytest.raises(ValueError, match="between 0 and 90"):
         undistorted(TOF, most_deg=90)
+
+
+def test_bytes_are_colours_too():
+    extrinsics, range_m, _, image, _ = rig()
+    plain, status = colours_of(extrinsics, TOF, range_m, 200 * image)
+    whole, same = colours_of(extrinsics, TOF, range_m, (200 * image).astype(np.uint8))
+    np.testing.assert_array_equal(status, same)
+    np.testing.assert_allclose(whole, plain, atol=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-6, 1e9, 1e30])
+def test_absurd_ranges_break_nothing(scale):
+    extrinsics, range_m, _, image, _ = rig()
+    absurd = range_m * scale ** np.random.default_rng(5).random(range_m.shape)
+    _, status = colours_of(extrinsics, TOF, absurd, image)
+    z_m = register_depth(extrinsics, TOF, absurd)
+    assert status.max() <= HIDDEN
+    assert not (z_m <= 0).any()
 
 
 def test_wrong_sizes_are_refused():

@@ -33,12 +33,12 @@ def cover(u: F64, v: F64, w: F64, nearest: F64) -> None:
             if not abs(area) > 1e-12:
                 continue
             w0, w1, w2 = w[n, 0], w[n, b], w[n, b + 1]
-            top = max(0, int(np.ceil(max(min(v0, v1, v2), 0.0))))
-            end = int(np.floor(min(max(v0, v1, v2), height - 1.0)))
-            left = max(0, int(np.ceil(max(min(u0, u1, u2), 0.0))))
-            last = int(np.floor(min(max(u0, u1, u2), width - 1.0)))
-            for y in range(top, end + 1):
-                for x in range(left, last + 1):
+            rows = max(min(v0, v1, v2), 0.0), min(max(v0, v1, v2), height - 1.0)
+            columns = max(min(u0, u1, u2), 0.0), min(max(u0, u1, u2), width - 1.0)
+            if rows[0] > rows[1] or columns[0] > columns[1]:
+                continue  # beside the image, however far
+            for y in range(int(np.ceil(rows[0])), int(rows[1]) + 1):
+                for x in range(int(np.ceil(columns[0])), int(columns[1]) + 1):
                     a1 = ((x - u0) * (v2 - v0) - (u2 - u0) * (y - v0)) / area
                     a2 = ((u1 - u0) * (y - v0) - (x - u0) * (v1 - v0)) / area
                     if a1 >= 0 and a2 >= 0 and a1 + a2 <= 1:

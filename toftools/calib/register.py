@@ -130,7 +130,7 @@ def colours_of(
         (kernel_input(u), kernel_input(v), kernel_input(w)),
         kernel_input(lax.ravel().astype(np.float64)),
         kernel_input(nearest),
-        kernel_input(image.astype(np.float32)),
+        kernel_input(image if image.dtype == np.uint8 else image.astype(np.float32)),
         colours,
         status,
     )
@@ -189,7 +189,7 @@ def _drawn(
         raise ValueError(msg)
     corners = _corners(camera, np.asarray(range_m, dtype=np.float64), limits, grow_px)
     u, v, w = (part.reshape(-1, 4) for part in _seen(extrinsics, corners.reshape(-1, 3)))
-    known = np.isfinite(u).all(axis=1) & (w > 0).all(axis=1)
+    known = (np.isfinite(u) & np.isfinite(v) & (w > 0)).all(axis=1)
     nearest = np.zeros(extrinsics.colour.shape)
     cover(*(kernel_input(part[known]) for part in (u, v, w)), nearest)
     return nearest
