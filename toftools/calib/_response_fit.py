@@ -14,6 +14,8 @@ from toftools.calib._response_data import ORDERS, Level
 from toftools.types import F64, Bool
 
 MOST_TERMS = ORDERS - 1
+EXACT = 1e-4
+"""Relative error below which models count as equally good: no lamp or shutter is known better."""
 KNOTS = 257
 """Knots of a curve with terms: straight lines in between err by 2e-6 of the top for a curve that
 bends by a tenth of it."""
@@ -61,8 +63,8 @@ def fit_curve(dark: Sequence[Level], lit: Sequence[Level], good: Bool) -> Curve:
     """Curve with as many terms as exposures that were left out ask for.
 
     Exposures between the lowest and the highest are left out in turn, since the curve claims
-    nothing beyond them. Of all models that rise, the smallest within one standard error of the best
-    wins (T. Hastie, R. Tibshirani, J. Friedman, "The Elements of Statistical Learning", 2nd ed.,
+    nothing beyond them. Of all models that rise, the smallest within one standard error of the best, or
+    exact to `EXACT`, wins (T. Hastie, R. Tibshirani, J. Friedman, "The Elements of Statistical Learning", 2nd ed.,
     section 7.10); fewer than four exposures leave none to spare: a straight line.
 
     Parameters
@@ -92,7 +94,7 @@ def fit_curve(dark: Sequence[Level], lit: Sequence[Level], good: Bool) -> Curve:
     squares = np.square(errors)  # (models, inner)
     mean = squares.mean(axis=1)
     best = int(np.argmin(mean))
-    limit = mean[best] + squares[best].std(ddof=1) / np.sqrt(inner.size)
+    limit = max(mean[best] + squares[best].std(ddof=1) / np.sqrt(inner.size), EXACT**2)
     chosen = int(np.flatnonzero(mean <= limit)[0])
     found = _solved(rows, exposure, chosen)
     return Curve(found.terms, found.sd, float(np.sqrt(mean[chosen])))
