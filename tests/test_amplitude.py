@@ -121,6 +121,14 @@ def test_leftover_pattern_of_pixels_does_no_harm(spread):
     assert np.mean(off) < 0.005
 
 
+def test_chance_correlation_of_pattern_and_light_is_no_amplitude_error():
+    zero = []
+    for seed in range(6):
+        extra = pattern(seed, 0.05, SMALL)
+        zero.append(not amplitude(targets(nothing, seed, FEW, extra=extra)).knot_rad.any())
+    assert sum(zero) >= 5
+
+
 def test_slope_is_that_within_pixels_where_the_pattern_follows_the_light():
     # A fixed pattern measured on a wall has taken the amplitude error of that wall along.
     level, phase = clean(1.5, 0.5)

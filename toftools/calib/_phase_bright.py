@@ -54,8 +54,6 @@ class Normal:
         Products of them.
     product : ndarray, (K, n)
         Products with the errors.
-    square : ndarray, (K,)
-        Weighted squares of the errors.
     fill : ndarray, (n, n)
         Penalty.
     """
@@ -63,7 +61,6 @@ class Normal:
     rows: F64
     gram: F64
     product: F64
-    square: F64
     fill: F64
 
 
@@ -91,28 +88,54 @@ def normal(samples: Samples, shape: tuple[int, int], fitted_rad: F64 | float = 0
     heavy = rows * samples.weight[..., None]
     gram = heavy.transpose(0, 2, 1) @ rows
     product = np.einsum("kpn,kp->kn", heavy, samples.error_rad)
-    square = (samples.weight * samples.error_rad**2).sum(axis=1)
     fill = (
         FILL
         * np.trace(gram.sum(axis=0))
         / gram.shape[1]
         * (roughness(shape) + 1e-3 * np.eye(gram.shape[1]))
     )
-    return Normal(rows, gram, product, square, fill)
+    return Normal(rows, gram, product, fill)
 
 
-def without(parts: Normal) -> F64:
-    """Coefficients of fits to all captures but one, (K, n)."""
-    gram = parts.gram.sum(axis=0) + parts.fill - parts.gram
-    product = parts.product.sum(axis=0) - parts.product
-    return np.asarray(np.linalg.solve(gram, product[..., None])[..., 0])
+def held_out(samples: Samples, shape: tuple[int, int] | None) -> tuple[F64, F64]:
+    """Errors of each capture under a fit to all others, the offsets of the pixels taken off.
 
+    The distance of a capture from the mean of all others is ``W / (W - w)`` times that from the
+    mean of all, w being its weight and W that of all, and its variance ``1 / w`` likewise.
 
-def losses(parts: Normal) -> F64:
-    """Weighted squares of each capture under a fit to all others, (K,)."""
-    theta = without(parts)
-    fit = np.einsum("ki,kij,kj->k", theta, parts.gram, theta)
-    return np.asarray(parts.square + fit - 2 * (theta * parts.product).sum(axis=1))
+    Parameters
+    ----------
+    samples : Samples
+        Data.
+    shape : tuple of int, or None
+        Model; None is no amplitude error at all.
+
+    Returns
+    -------
+    losses : ndarray, (K,)
+        Weighted squares of the errors.
+    fitted_rad : ndarray, (K, P)
+        The model at the data of each capture, fitted to all others, up to a constant.
+    """
+    weight = samples.weight
+    total = weight.sum(axis=0)
+    share = weight / np.where(total > 0, total, 1.0)
+    alone = share > 1 - 1e-9
+    apart = np.where(alone, 0.0, weight / np.where(alone, 1.0, 1 - share))  # w W / (W - w)
+    error = samples.error_rad - (share * samples.error_rad).sum(axis=0)
+    if shape is None:
+        return (apart * error**2).sum(axis=1), np.zeros_like(error)
+    parts = normal(samples, shape)
+    rows = parts.rows - np.einsum("kp,kpn->pn", share, parts.rows)
+    heavy = rows * apart[..., None]
+    own = heavy.transpose(0, 2, 1) @ rows
+    products = np.einsum("kpn,kp->kn", heavy, error)
+    light = rows * weight[..., None]
+    gram = (light.transpose(0, 2, 1) @ rows).sum(axis=0) + parts.fill
+    product = np.einsum("kpn,kp->n", light, error)
+    theta = np.linalg.solve(gram - own, (product - products)[..., None])[..., 0]  # (K, n)
+    rest = error - (rows @ theta[..., None])[..., 0]
+    return (apart * rest**2).sum(axis=1), (parts.rows @ theta[..., None])[..., 0]
 
 
 def robust(samples: Samples, shape: tuple[int, int]) -> Samples:

@@ -7,7 +7,7 @@ import numpy as np
 
 from toftools.calib._choice import smallest
 from toftools.calib._phase_apply import rad_per_mm
-from toftools.calib._phase_bright import Samples, losses, normal, robust, solved, without
+from toftools.calib._phase_bright import Samples, held_out, robust, solved
 from toftools.calib._phase_errors import around_centre, error_and_sigma
 from toftools.calib._phase_surface import design
 from toftools.conditions import conditions_of, expected_range_m, name_of
@@ -175,10 +175,9 @@ def fit_surface(data: Data) -> Fit:
     tables = [np.zeros(len(data.names))] + [np.zeros(len(data.names)) for _ in shapes]
     shares = np.zeros(len(data.names))
     for part in samples:
-        tables[0] += _square(part)
         shares += (part.weight > 0).sum(axis=1)
-        for table, shape in zip(tables[1:], shapes, strict=True):
-            table += losses(normal(part, shape))
+        for table, shape in zip(tables, [None, *shapes], strict=True):
+            table += held_out(part, shape)[0]
     best = smallest(np.array(tables), shares)
     shape = shapes[max(best - 1, 0)]
     fits = [solved(part, shape) for part in samples]
@@ -196,10 +195,6 @@ def fit_surface(data: Data) -> Fit:
     errors = [_errors(part, shape, used=best > 0) for part in samples]
     before, after, held = (np.stack([e[i] for e in errors], axis=1) for i in range(3))
     return Fit(knots.reshape(-1, *shape), covariance, reference, before, after, held, tuple(notes))
-
-
-def _square(samples: Samples) -> F64:
-    return np.asarray((samples.weight * samples.error_rad**2).sum(axis=1))
 
 
 def _shapes(data: Data) -> tuple[list[tuple[int, int]], list[str]]:
@@ -250,9 +245,12 @@ def _errors(samples: Samples, shape: tuple[int, int], *, used: bool) -> tuple[F6
     if not used:
         return before, before, before
     _, _, fitted = solved(samples, shape)
-    parts = normal(samples, shape)
-    held = (parts.rows @ without(parts)[..., None])[..., 0]
-    return before, before - fitted, before - held
+    held = held_out(samples, shape)[1]
+    gap = before - held
+    means = np.nanmean(gap, axis=1)
+    # The constant of each fit is that of the other captures.
+    others = (means.sum() - means) / (means.size - 1)
+    return before, before - fitted, gap - others[:, None]
 
 
 def _offset(data: Data, shift_rad: F64) -> list[str]:
