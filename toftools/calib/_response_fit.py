@@ -63,9 +63,10 @@ def fit_curve(dark: Sequence[Level], lit: Sequence[Level], good: Bool) -> Curve:
     """Curve with as many terms as exposures that were left out ask for.
 
     Exposures between the lowest and the highest are left out in turn, since the curve claims
-    nothing beyond them. Of all models that rise, the smallest within one standard error of the best, or
-    exact to `EXACT`, wins (T. Hastie, R. Tibshirani, J. Friedman, "The Elements of Statistical Learning", 2nd ed.,
-    section 7.10); fewer than four exposures leave none to spare: a straight line.
+    nothing beyond them. Of all models that rise, the smallest wins that lies within one standard
+    error of the best (T. Hastie, R. Tibshirani, J. Friedman, "The Elements of Statistical
+    Learning", 2nd ed., section 7.10) or is exact to `EXACT`; fewer than four exposures leave none
+    to spare: a straight line.
 
     Parameters
     ----------
