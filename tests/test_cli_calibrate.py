@@ -106,7 +106,7 @@ def test_all_says_plan_residuals_and_verdict(capsys, folder, tmp_path):
     assert code == 0
     lines = said.splitlines()
     assert lines[0] == "plan"
-    assert "  wiggling       16 captures (16 rail) by wiggling_spline:knots=0" in lines
+    assert "  wiggling       16 rail by wiggling_spline:knots=0" in lines
     assert "  temperature    skipped: left out by --skip" in lines
     assert "  held out       4 captures of kind check" in lines
     assert any(line.startswith("GOOD: ") and "x the noise floor" in line for line in lines)

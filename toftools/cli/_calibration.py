@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from toftools.viz._numbers import figure
+
 if TYPE_CHECKING:
     from toftools.calib.chain import Chain
     from toftools.calib.fit import Outcome
@@ -167,32 +169,6 @@ def residual_text(residual: Residual) -> str:
     return ", ".join([course, *known, *([f"{r.n} data"] if r.n else [])])
 
 
-def figure(value: float) -> str:
-    """A number with three significant digits, a dash for none.
-
-    Parameters
-    ----------
-    value : float
-        Number.
-
-    Returns
-    -------
-    str
-        Text.
-
-    Examples
-    --------
-    >>> figure(31.42), figure(0.01234), figure(1234.5), figure(float("nan"))
-    ('31.4', '0.0123', '1234', '-')
-    """
-    if not math.isfinite(value):
-        return "-"
-    if value == 0:
-        return "0"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    return f"{value:.{digits}f}"
-
-
 def plan_lines(plan: Plan, chain: Chain) -> list[str]:
     """A plan, a stage a line.
 
@@ -219,8 +195,7 @@ def plan_lines(plan: Plan, chain: Chain) -> list[str]:
             lines += wrapped(f"skipped: {step.reason}", f"  {step.slot:<15}")
             continue
         name = "" if step.entry == step.slot else f" by {step.entry}"
-        lines.append(f"  {step.slot:<15}{len(step.captures)} captures ({counted(step.captures)})"
-                     f"{name}")  # fmt: skip
+        lines.append(f"  {step.slot:<15}{counted(step.captures)}{name}")
     return [*lines, *wrapped(plan.how, f"  {'held out':<15}")]
 
 

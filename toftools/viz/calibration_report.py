@@ -14,6 +14,7 @@ from toftools.calib.fit import Outcome
 from toftools.calib.verdict import GOOD, Verdict
 from toftools.types import Capture
 from toftools.viz._calibration_data import Sample, error_maps_mm, samples
+from toftools.viz._numbers import figure
 from toftools.viz.calibration import Course, Cyclic, course_png, cyclic_png, distance_png, lens_png
 from toftools.viz.figures import maps_png
 
@@ -102,32 +103,6 @@ def _row(slot: str, residual: Any) -> dict[str, Any]:  # noqa: ANN401 - a Residu
     figures = {k: figure(getattr(residual, k)) for k in ("before", "after", "held_out", "noise")}
     return {"slot": slot, "unit": residual.unit, "n": residual.n or "", "notes": residual.notes,
             **figures}  # fmt: skip
-
-
-def figure(value: float) -> str:
-    """A number with three significant digits, a dash for none.
-
-    Parameters
-    ----------
-    value : float
-        Number.
-
-    Returns
-    -------
-    str
-        Text.
-
-    Examples
-    --------
-    >>> figure(31.42), figure(0.01234), figure(1234.5), figure(float("nan"))
-    ('31.4', '0.0123', '1234', '–')
-    """
-    if not np.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
-    return f"{value:.{digits}f}"
 
 
 def _held(chain: Chain, verdict: Verdict, held_out: Sequence[Capture]) -> dict[str, Any]:
