@@ -1,10 +1,4 @@
-"""The answers to a virtual rig: what a faultless calibration would find.
-
-Wiggling is computed from the aliasing of harmonics at the tap steps, not fitted: taps at
-``step_k`` and demodulation weights ``w_k`` turn light of phase phi into
-``z(phi) = sum_m (h_m e^{j m phi} sum_k w_k e^{-j m step_k} + conj(h_m) e^{-j m phi} sum_k w_k
-e^{+j m step_k}) / 2``, whose phase is the measured one.
-"""
+"""The answers to a virtual rig: what a faultless calibration would find."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,42 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from toftools.phasor import demodulation_weights
 from toftools.sim._rig_errors import Errors
 from toftools.sim._rig_unit import amplitude_error_rad, unit_of
-from toftools.sim.shapes import C128
+from toftools.sim._rig_wiggling import Wiggling, wiggling
 from toftools.types import F64, Bool, Camera, Sensor
-from toftools.units import TWO_PI
-
-ORDERS = 16
-"""Harmonics of the wiggling that are told."""
-SAMPLES = 4096
-"""Phases at which its curve is told."""
-NEWTON = 6
-"""Steps from true to measured phase; each squares what is left of 0.02 rad."""
-
-
-@dataclass(frozen=True, eq=False)
-class Wiggling:
-    """Wiggling as function of the measured phase, zero mean over a turn.
-
-    Parameters
-    ----------
-    phase_rad : ndarray, (P,)
-        Measured phase, evenly over a turn, rad.
-    error_rad : ndarray, (F, P)
-        Measured minus true phase, rad.
-    cos_rad, sin_rad : ndarray, (F, ORDERS)
-        ``error = sum_n cos_rad[n - 1] cos(n phase) + sin_rad[n - 1] sin(n phase)``.
-    mean_rad : ndarray, (F,)
-        Mean that was taken off, rad: part of the common phase.
-    """
-
-    phase_rad: F64
-    error_rad: F64
-    cos_rad: F64
-    sin_rad: F64
-    mean_rad: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +66,9 @@ class RigTruth:
         Parameters
         ----------
         phase_rad : ndarray, (F, ...)
-            Phase of the light, rad.
+            Measured phase less wiggling, common phase and fixed pattern, rad.
         amplitude : ndarray, (F, ...)
-            Amplitude without the ripple of wiggling and without the gain of the pixel, unit of the
-            taps.
+            Measured amplitude without the gain of the pixel, unit of the taps.
 
         Returns
         -------
@@ -176,60 +137,3 @@ def truth_of(errors: Errors, sensor: Sensor) -> RigTruth:
         bad=unit.bad,
         errors=errors,
     )
-
-
-def wiggling(sensor: Sensor) -> Wiggling:
-    """Cyclic error of a sensor from its harmonics and tap steps.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        Camera with `modulation.harmonics`; pixel patterns play no part.
-
-    Returns
-    -------
-    Wiggling
-        Curve and Fourier coefficients.
-    """
-    phase = np.arange(SAMPLES) * (TWO_PI / SAMPLES)
-    true = np.broadcast_to(phase, (sensor.modulation.n_freqs, SAMPLES))
-    error, density = _error(sensor, true)
-    order = np.arange(ORDERS + 1)[:, None]
-    # Over measured phase; the density turns the integral into one over true phase.
-    waves = [
-        (np.exp(-1j * order * (phase + e)) @ (e * d)) / SAMPLES
-        for e, d in zip(error, density, strict=True)
-    ]
-    c = np.stack(waves)  # (F, ORDERS + 1)
-    mean = c[:, 0].real
-    for _ in range(NEWTON):  # the true phases whose measured ones lie evenly
-        true = true + (phase - true - error) / density
-        error, density = _error(sensor, true)
-    return Wiggling(phase, error - mean[:, None], 2 * c[:, 1:].real, -2 * c[:, 1:].imag, mean)
-
-
-def _error(sensor: Sensor, phase_rad: F64) -> tuple[F64, F64]:
-    """Measured minus true phase at true phases (F, P), and slope of the measured phase."""
-    z, slope = _response(sensor, phase_rad)
-    return np.angle(z * np.exp(-1j * phase_rad)), np.imag(slope / z)
-
-
-def _response(sensor: Sensor, phase_rad: F64) -> tuple[C128, C128]:
-    """Demodulated phasor of light of unit amplitude at phases (F, P), and its slope."""
-    mod, timing = sensor.modulation, sensor.timing
-    assert mod.harmonics is not None
-    weights = demodulation_weights(mod.steps_rad)  # (F, K)
-    z, slope = np.zeros((2, *phase_rad.shape), np.complex128)
-    for i in range(mod.harmonics.shape[1]):
-        m = i + 1
-        h = mod.harmonics[:, i] * np.sinc(m * timing.beat_hz * timing.exposure_s)
-        if not h.any():
-            continue
-        turn = np.exp(1j * m * mod.steps_rad)  # (F, K)
-        up = h * (weights / turn).sum(axis=1) / 2
-        down = np.conj(h) * (weights * turn).sum(axis=1) / 2
-        wave = np.exp(1j * m * phase_rad)
-        rising, falling = up[:, None] * wave, down[:, None] / wave
-        z += rising + falling
-        slope += 1j * m * (rising - falling)
-    return z, slope

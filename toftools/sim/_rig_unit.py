@@ -7,6 +7,7 @@ import numpy as np
 
 from toftools.camera import rays
 from toftools.sim._rig_errors import Errors
+from toftools.sim._rig_wiggling import ripple
 from toftools.sim.defects import per_freq_phase_rad, pixel_maps
 from toftools.sim.noise import contrasts
 from toftools.sim.target import pixel_rays
@@ -67,6 +68,11 @@ class Unit:
         """Many rays of every pixel, (S, H, W, 3)."""
         return pixel_rays(self.sensor.camera, RAYS_PER_SIDE)
 
+    @cached_property
+    def ripple(self) -> F64:
+        """Measured amplitude over that of a sine, evenly over a turn of the phase, (F, P)."""
+        return ripple(self.sensor)
+
     def drift_rad(self, sensor_c: float, light_c: float) -> F64:
         """Phase (F,) that temperatures add, rad."""
         return np.asarray(
@@ -80,9 +86,9 @@ class Unit:
         Parameters
         ----------
         phase_rad : ndarray, (F, ...)
-            Phase of the light, rad.
+            Phase of the light with drift and this error, rad.
         amplitude : ndarray, (F, ...)
-            Amplitude that a sine would have, unit of the taps.
+            Measured amplitude, unit of the taps.
 
         Returns
         -------

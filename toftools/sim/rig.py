@@ -3,13 +3,14 @@
 What is planted (`Errors`) sits in true optics, waveform and pixel maps; the captures carry what
 the maker says (`nominal`), so that a fit has to find it out. Phases add in the order of nature:
 
-    measured = W(phase of the light + delay + common + fixed pattern + drift + g(amplitude, phase))
+    measured = W(phase of the light + delay + common + fixed pattern + drift + g(phase, amplitude))
 
 with the wiggling W of the waveform, which the taps alias by themselves. A calibration takes W off
 first and finds the others in what is left; the answers are told by `truth_of`. The amplitude of g
-is that of the light in the pixel: with a waveform that is no sine the measured one ripples about it
-(by 15 % for square waves and four taps), which a calibration cannot know. There is no bounced
-light, scatter in the lens, or curve of the response in these captures.
+is the measured one, as a calibration knows it: for square waves and four taps it ripples by 15 %
+with the phase. A fit of W alone, from a delay sweep, therefore finds g of this ripple in it; only
+a fit of both together tells them apart. There is no bounced light, scatter in the lens, or curve
+of the response in these captures.
 """
 
 from collections.abc import Iterator
@@ -29,15 +30,19 @@ from toftools.sim._rig_plan import Plan as Plan
 from toftools.sim._rig_plan import Take as Take
 from toftools.sim._rig_plan import takes
 from toftools.sim._rig_truth import RigTruth as RigTruth
-from toftools.sim._rig_truth import Wiggling as Wiggling
 from toftools.sim._rig_truth import truth_of as truth_of
 from toftools.sim._rig_unit import Unit as Unit
 from toftools.sim._rig_unit import unit_of as unit_of
+from toftools.sim._rig_wiggling import Wiggling as Wiggling
 from toftools.sim.noise import clean_taps, contrasts
 from toftools.sim.readout import expose
 from toftools.sim.shapes import C128, Transport
 from toftools.sim.target import plane, printed
 from toftools.types import F64, Capture, Noise, PixelMaps, Sensor, Taps
+from toftools.units import TWO_PI
+
+ROUNDS = 5
+"""Of the fixed point of phase and amplitude."""
 
 
 def rig(
@@ -171,7 +176,7 @@ def exposed(take: Take, unit: Unit, rng: np.random.Generator | None, frames: int
     maps = sensor.maps
     assert maps is not None
     layers = np.stack([light(float(freq)) for freq in sensor.modulation.freqs_hz])
-    added = maps.phase_rad + phase_added_rad(unit, told, layers)
+    added = maps.phase_rad + phase_added_rad(unit, told, layers, maps.phase_rad)
     true = replace(sensor, maps=PixelMaps(maps.gain, maps.dark_e, added))
     charge = clean_taps(light, take.lamp_e, true)
     taps = _mean([expose(charge, true, rng) for _ in range(frames if rng is not None else 1)])
@@ -183,8 +188,11 @@ def exposed(take: Take, unit: Unit, rng: np.random.Generator | None, frames: int
     return with_conditions(capture, told, file=take.name)
 
 
-def phase_added_rad(unit: Unit, told: Conditions, light: C128) -> F64:
+def phase_added_rad(unit: Unit, told: Conditions, light: C128, pattern_rad: F64) -> F64:
     """Phase that is added to the light before it wiggles, fixed pattern aside.
+
+    The amplitude-related error depends on the measured amplitude, which ripples with the phase
+    that this error is part of: a fixed point, a hundred times nearer with every round.
 
     Parameters
     ----------
@@ -194,22 +202,31 @@ def phase_added_rad(unit: Unit, told: Conditions, light: C128) -> F64:
         Delay and temperatures.
     light : ndarray, (F, H, W)
         Light at the frequencies, electrons per tap.
+    pattern_rad : ndarray, (F, H, W)
+        Fixed pattern, rad.
 
     Returns
     -------
     ndarray, (F, H, W)
         Phase, rad.
     """
-    nominal = unit.nominal
-    delay = 2 * np.pi * nominal.modulation.freqs_hz * told.delay_s
-    drift = unit.drift_rad(told.sensor_c, told.light_c)
-    scale = contrasts(nominal) * (nominal.noise.gain_dn_per_e or 1.0)
-    amplitude = scale[:, None, None] * np.abs(light)
-    angle = phase(light) + delay[:, None, None]
-    fixed = (unit.common_rad + delay + drift)[:, None, None]
-    lit = amplitude > 0
-    related = unit.amplitude_error_rad(angle, np.where(lit, amplitude, 1.0))
-    return np.asarray(fixed + np.where(lit, related, 0.0))
+    freqs = unit.nominal.modulation.freqs_hz
+    delay = 2 * np.pi * freqs * told.delay_s
+    shift = (delay + unit.drift_rad(told.sensor_c, told.light_c))[:, None, None]
+    constant = unit.common_rad[:, None, None]
+    scale = contrasts(unit.nominal) * (unit.nominal.noise.gain_dn_per_e or 1.0)
+    sine = scale[:, None, None] * np.abs(light)
+    angle, related = phase(light) + shift, np.zeros(light.shape)
+    for _ in range(ROUNDS if sine.any() else 0):
+        arriving = angle + related + constant + pattern_rad
+        turn = np.linspace(0, TWO_PI, unit.ripple.shape[1], endpoint=False)
+        ripples = [
+            np.interp(layer, turn, wave, period=TWO_PI)
+            for layer, wave in zip(arriving, unit.ripple, strict=True)
+        ]
+        amplitude = np.where(sine > 0, sine * np.stack(ripples), unit.reference[:, None, None])
+        related = unit.amplitude_error_rad(angle + related, amplitude)
+    return np.asarray(constant + shift + related)
 
 
 def averaged(noise: Noise, frames: int) -> Noise:
