@@ -54,6 +54,7 @@ def test_a_faultless_camera_is_good_at_its_noise_floor():
     assert last.n == 6 * 24 * 32
     assert abs(last.bias_mm) < 0.1 * last.rms_mm
     assert found.advice == ()
+    assert max(found.causes_mm.values()) < 0.25 * last.noise_mm
     assert f"{last.rms_mm:.1f} mm rms on 6 held-out captures" in found.sentence
 
 
@@ -132,6 +133,9 @@ def test_without_a_check_every_fifth_position_of_the_rail_is_held_out():
     assert [conditions_of(c).distance_m for c in held] == pytest.approx([1.2, 1.7])
     assert len(rest) == 10
     assert "every fifth position" in how
+    held, rest, _ = held_out([*labelled("rail", 12), *labelled("check", 1)])
+    assert [name_of(c) for c in held] == ["check0.h5"]
+    assert "check0.h5" not in [name_of(c) for c in rest]
     held, rest, how = held_out(labelled("rail", 9))
     assert (held, len(rest)) == ((), 9)
     assert "too short" in how
