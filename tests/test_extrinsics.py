@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from toftools.calib._pairing import matched
 from toftools.calib._poses import Sight, board_poses, moved, seen_px
 from toftools.calib._stereo import Pair, refined
 from toftools.calib.board import dark_at, parse_board
@@ -222,6 +223,15 @@ def test_one_sentence_for_what_does_not_fit_together(tmp_path):
         with pytest.raises(ValueError, match=message) as caught:
             extrinsics(some, **params)
         assert "\n" not in str(caught.value)
+
+
+def test_pictures_belong_to_captures_of_their_name(tmp_path):
+    sensor = Sensor(TOF, Modulation(np.array([20e6])))
+    bare = Capture(sensor, phasors=Phasors(np.ones((1, *TOF.shape), np.complex64)))
+    a, b = (with_conditions(bare, Conditions("board"), file=f"{x}.h5") for x in "ab")
+    images = [tmp_path / name for name in ("1.png", "a.jpg", "b.png")]
+    assert matched([b, a], images) == [(b, images[2]), (a, images[1])]
+    assert matched([b, a], images[:1] * 2) == [(a, images[0]), (b, images[0])]
 
 
 def test_a_board_that_nobody_sees(tmp_path, monkeypatch):

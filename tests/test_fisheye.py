@@ -83,6 +83,16 @@ def test_no_pixel_behind_a_pinhole_or_beyond_the_turning_point():
     assert np.isfinite(rays(short)[30, 40]).all()
 
 
+@pytest.mark.parametrize("dist", [
+    [-0.2, 0, 0, 0], [0.1, -0.2, 0, 0], [0.05, 0.1, -0.1, 0], [0.05, 0.02, 0.01, -0.05],
+])  # fmt: skip
+def test_the_limit_of_a_fisheye_is_where_its_radius_stops_rising(dist):
+    theta = np.linspace(0, np.pi, 600_001)
+    radius = theta + sum(k * theta ** (2 * i + 3) for i, k in enumerate(dist))
+    last = theta[np.argmax(np.diff(radius) < 0)]
+    assert fisheye_limit(np.array(dist, float)) == pytest.approx(last, abs=2e-5)
+
+
 @pytest.mark.parametrize("dist", [[-0.3, 0.1, 0, 0, -0.02], [0.2, -0.1, 0, 0, 0.01, 0.1, -0.2, 0]])
 def test_the_limit_is_where_the_radius_stops_rising(dist):
     k1, k2, _, _, k3, k4, k5, k6 = [*dist, 0, 0, 0][:8]

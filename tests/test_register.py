@@ -171,6 +171,15 @@ def test_a_pinhole_of_no_angle_is_refused():
         undistorted(TOF, most_deg=90)
 
 
+def test_a_noisy_wall_stays_one_surface():
+    range_m = 1.5 / rays(TOF)[..., 2] + np.random.default_rng(6).normal(0, 0.04, TOF.shape)
+    extrinsics = Extrinsics(R, T, COLOUR)
+    whole = register_depth(extrinsics, TOF, range_m, sigma_m=0.04)[60:-60, 80:-80]
+    torn = register_depth(extrinsics, TOF, range_m)[60:-60, 80:-80]
+    jumps = [np.mean(np.abs(np.diff(z, axis=1)) > 0.05) for z in (whole, torn)]
+    assert jumps[0] < 0.001 < 0.03 < jumps[1]
+
+
 def test_bytes_are_colours_too():
     extrinsics, range_m, _, image, _ = rig()
     plain, status = colours_of(extrinsics, TOF, range_m, 200 * image)
