@@ -98,7 +98,7 @@ def test_the_page_tells_and_shows_everything_and_needs_no_other_file():
     for text in ("held-out captures", "Wiggling", "Fixed pattern", "check3.h5", "robust spread",
                  "noise floor", "toftools", 'name="viewport"', "lens, not fitted"):  # fmt: skip
         assert text in page, text
-    assert not re.findall(r'(?:src|href)="(?!data:image/png;base64,|#)', page)
+    assert not re.findall(r'(?:src|href)="(?!data:image/webp;base64,|#)', page)
     assert "<script" not in page
     assert not re.search(r">\s*(nan|None|inf)\b", page)
     headings = re.findall(r"<h2[^>]*>([^<]+)", page)

@@ -116,9 +116,9 @@ def test_all_says_plan_residuals_and_verdict(capsys, folder, tmp_path):
 def test_the_report_stands_alone(whole):
     page = whole[1].read_text(encoding="utf-8")
     assert "GOOD: " in page
-    assert page.count("data:image/png;base64,") >= 5
+    assert page.count("data:image/webp;base64,") >= 5
     assert not [s for s in ("http://", "https://", "<script", "src=\"/", "nan") if s in
-                page.replace("data:image/png;base64,", "")[:4000]]  # fmt: skip
+                page.replace("data:image/webp;base64,", "")[:4000]]  # fmt: skip
     for what in ("range error over distance", "cyclic error", "fixed pattern", "check3.h5"):
         assert what in page
 

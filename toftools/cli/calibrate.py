@@ -26,7 +26,8 @@ STAGE is one of
 
 conditions.csv says what each capture shows, one line a file:
 file,kind,distance_m,sensor_c,light_c,... Kinds: {", ".join(KINDS)}. For a few captures alike the
-options below say the same. docs/methods.md lists the keys of each stage.
+options above say the same. docs/calibration/directory.md tells how to take
+each, docs/methods.md lists the keys of each stage.
 
 \b
 Examples:
