@@ -15,7 +15,7 @@ from toftools.sim.analytic import analytic
 from toftools.types import Phasors, Scene, Shot
 from toftools.units import range_to_phase
 
-PLANTED = np.array([0.7, -2.9])  # the second lies near half a turn
+PLANTED = np.array([0.7, -3.1])  # the second lies so near half a turn that its pixels wrap
 OFFSET = PLANTED[:, None, None]
 
 

@@ -6,8 +6,10 @@ range sensing", Computer Vision and Image Understanding 114 (2010) 1318-1328, wh
 intensity (from the abstract). Input: planes of several brightnesses at known distances (kind
 ``gray``; ``wall`` and ``rail`` count too). How many functions, perhaps none at all, is decided on
 held-out captures. The constant is common phase's: the surface is 0 on average over the walls.
-It fails where brightness and distance change together only (one white wall at all distances): then
-the error belongs to the wiggling, and both fit it.
+Each pixel may keep an offset of its own. It fails where brightness and distance change together
+only (one white wall at all distances): then the error belongs to the wiggling, and both fit it.
+Wrong distances go right into it: 2 mm at random for each of 15 targets leave 7 mrad rms where exact
+ones leave 1.6 mrad, and the standard deviations know only some of it.
 """
 
 from collections.abc import Sequence
