@@ -163,7 +163,9 @@ def _drawn(sheet: Sheet) -> Any:  # noqa: ANN401 - matplotlib has no types
     axes.axis("off")
     left, top = sheet.origin_mm
     patches = [Rectangle((left + x, top + y), w, h) for x, y, w, h in _rectangles(sheet.board)]
-    axes.add_collection(PatchCollection(patches, facecolor="black", edgecolor="none", linewidth=0))
+    dark = PatchCollection(patches, facecolor="black", edgecolor="none", linewidth=0)
+    dark.set_snap(False)  # edges stay where they belong, to a share of a pixel
+    axes.add_collection(dark)
     _ruler(axes, sheet)
     axes.text(MARGIN_MM + 108, sheet.height_mm - MARGIN_MM - 6, _title(sheet), fontsize=6)
     axes.text(MARGIN_MM, sheet.height_mm - MARGIN_MM + 3.5, SHORT, fontsize=5)

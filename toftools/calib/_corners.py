@@ -2,8 +2,9 @@
 
 Amplitude falls with the square of the range and with the cosine of the surface, so boards are
 looked for in several renderings of one image (linear, square root, flattened by its own local mean,
-CLAHE) at several sizes, cheapest first; the first find that makes a grid is refined in the square
-root of the image as it is, where shot noise is even. Fails below about 5 px a square.
+the same smoothed, CLAHE) at several sizes, cheapest first. The first find that makes a grid is
+refined in the square root of the image as it is, where shot noise is even (_lens_saddle). Fails
+below about 5 px a square.
 """
 
 import math
@@ -26,7 +27,9 @@ LEAST = 6
 """Corners that make a view."""
 AFTER = 6
 """Further searches for the corners that a first one missed."""
-TONES = ("linear", "root", "flat", "clahe")
+TONES = ("linear", "root", "flat", "smooth", "clahe")
+SMOOTH_PX = 0.8
+"""Blur against noise, before the image is flattened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,7 @@ def find_board(view: View, board: Board) -> Seen | None:
     """
     if trouble(view) == "black":
         return None
-    search = _markers if board.kind == "charuco" else _chessboard
+    search = _markers if board.kind == "charuco" else chessboard
     most, best, left = len(board.points()), None, AFTER
     for rendering in searches(view.image):
         found = search(rendering, board)
@@ -104,13 +107,16 @@ def searches(image: F32) -> Iterator[Search]:
     if side > MIDDLE_PX:
         scales = (1, 2) if side <= LARGE_PX else (0.5, 1)
     for scale in scales:
+        greys = []
         for tone in TONES:
             grey = _rendered(image, tone)
             if scale != 1:
                 way = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
                 grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=way)
-            for sector in (False, True):
-                yield Search(grey, scale, sector)
+            greys.append(grey)
+            yield Search(grey, scale, sector=False)
+        for grey in greys:
+            yield Search(grey, scale, sector=True)
 
 
 def _rendered(image: F32, tone: str) -> Any:  # noqa: ANN401 - (H, W) uint8
@@ -121,6 +127,8 @@ def _rendered(image: F32, tone: str) -> Any:  # noqa: ANN401 - (H, W) uint8
     light = np.maximum(light - min(float(light.min()), 0.0), 0.0)
     if tone == "linear":
         return _stretched(light)
+    if tone == "smooth":
+        light = cv2.GaussianBlur(light, (0, 0), SMOOTH_PX)
     root = np.sqrt(light)
     if tone == "root":
         return _stretched(root)
@@ -137,7 +145,8 @@ def _stretched(image: F32) -> Any:  # noqa: ANN401 - (H, W) uint8
     return np.asarray(np.clip(share, 0, 1) * 255).astype(np.uint8)
 
 
-def _chessboard(search: Search, board: Board) -> tuple[Any, F64] | None:
+def chessboard(search: Search, board: Board) -> tuple[Any, F64] | None:
+    """Corners of a chessboard in one rendering, in the order of the board; None if not found."""
     import cv2
 
     if search.sector:

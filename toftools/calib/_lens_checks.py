@@ -14,8 +14,8 @@ from toftools.calib.board import Board
 
 LEAST = 4
 """Views that a fit needs; three determine a pinhole, one more tells whether they agree."""
-PATIENCE = 4
-"""Views without the board from the start after which the rest is not searched."""
+PATIENCE = 2
+"""Views without the board from the start after which another board is looked for in them."""
 LEAST_TILT_DEG = 5.0
 MOST_SPREAD, WIDE_SPREAD = 0.2, 0.02
 """Standard deviation of a focal length, relative to it, that is refused and that is told."""
@@ -98,10 +98,10 @@ def boards_in(views: Sequence[View], board: Board) -> tuple[list[Seen], list[str
             msg = f"{view.name} is {wrong} and shows no board; take it again with {cure} exposure"
             raise ValueError(f"{msg}, or leave it out")
         missed.append(view.name)
-        if len(missed) >= PATIENCE and not seen:
-            break
-    lost = [view for view in views if view.name in missed]
-    _check_board(views, board, seen, lost[:2] if len(seen) < LEAST else [])
+        if len(missed) == PATIENCE and not seen:
+            _check_board(views, board, [], [v for v in views if v.name in missed])
+    lost = [view for view in views if view.name in missed] if 0 < len(seen) < LEAST else []
+    _check_board(views, board, seen, lost[:PATIENCE])
     if len(seen) < LEAST:
         unseen = f" (not seen in {listed(missed)})" if missed else ""
         shown = f" in {listed([s.name for s in seen])}" if seen else ""

@@ -1,18 +1,19 @@
 """What a view shows where it does not show the board that was said."""
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from toftools._arrays import F32, F64
-from toftools.calib._corners import Seen, find_board, searches
+from toftools.calib._corners import Seen, chessboard, find_board, searches
 from toftools.calib._lens_views import View
 from toftools.calib.board import DICTIONARIES, Board
 
 
 def larger_board(view: View, board: Board, seen: Seen | None) -> tuple[int, int] | None:
-    """Inner corners of the chessboard in a view where it is not the board said.
+    """Inner corners of the chessboard in a view that does not show the board said.
 
     Parameters
     ----------
@@ -28,20 +29,25 @@ def larger_board(view: View, board: Board, seen: Seen | None) -> tuple[int, int]
     tuple of int, or None
         Columns and rows, (0, 0) if unknown but more; None if nothing speaks against the board.
     """
-    import cv2
-
     if seen is not None and not _goes_on(view.image, board, seen):
         return None
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    best = (0, 0)
-    for search in itertools.islice(searches(view.image), 0, 8, 2):
-        done, _, meta = cv2.findChessboardCornersSBWithMeta(search.image, (3, 3), flags)
-        if done and meta is not None and meta.size > best[0] * best[1]:
-            best = (max(meta.shape), min(meta.shape))
-    said = tuple(sorted(board.corners, reverse=True))
-    if seen is None:
-        return None if best == said or best[0] * best[1] < 12 else best
-    return best if best[0] * best[1] > said[0] * said[1] else (0, 0)
+    columns, rows = board.corners
+    steps = range(4) if seen is not None else range(-2, 3)
+    sizes = [(columns + i, rows + j) for i in steps for j in steps if (i, j) != (0, 0)]
+    # Squares counted for corners, or the other way round, come first.
+    sizes.sort(key=lambda size: abs(size[0] - columns - (size[1] - rows)) + (size[0] > columns))
+    for search in itertools.islice(searches(view.image), 0, 3, 2):
+        for size in sizes:
+            if min(size) < 3:
+                continue
+            other = replace(board, columns=size[0], rows=size[1])
+            found = chessboard(search, other)
+            if found is None:
+                continue
+            part = Seen(view.name, *found)
+            if not _goes_on(view.image, other, part):
+                return size
+    return (0, 0) if seen is not None else None
 
 
 def _goes_on(image: F32, board: Board, seen: Seen) -> bool:
@@ -97,7 +103,7 @@ def strange_markers(view: View, board: Board) -> str:
         ids = cv2.aruco.ArucoDetector(words).detectMarkers(image)[1]
         return np.ravel(ids) if ids is not None else np.zeros(0, int)
 
-    images = [s.image for s in itertools.islice(searches(view.image), 2, 8, 4)]
+    images = [s.image for s in itertools.islice(searches(view.image), 1, 3)]
     ids = np.concatenate([ids_of(board.dictionary, image) for image in images])
     there = board.columns * board.rows // 2
     if (ids >= there).sum() >= 2:

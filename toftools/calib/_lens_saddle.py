@@ -14,10 +14,10 @@ import numpy as np
 
 from toftools._arrays import F32, F64, Bool
 
-STEPS = 15
+STEPS, STILL_PX = 15, 5e-4
 REACH = 0.7
 """Radius of the window in squares: within it there is one crossing only."""
-MOST_PX = 14
+MOST_PX = 10
 LEAST_PX = 2.2
 AWAY = 0.35
 """Squares that a corner may move from where it was found."""
@@ -91,9 +91,9 @@ def _fitted(theta: F64, values: F64, offsets: F64, weights: F64) -> F64:
     cost = (weights * residual**2).sum(axis=1)
     for _ in range(STEPS):
         weighted = by * weights[:, :, None]
-        normal = np.einsum("nmi,nmj->nij", weighted, by)
-        right = np.einsum("nmi,nm->ni", weighted, residual)
-        diagonal = np.einsum("nii->ni", normal)
+        across = weighted.transpose(0, 2, 1)
+        normal, right = across @ by, (across @ residual[:, :, None])[:, :, 0]
+        diagonal = np.diagonal(normal, axis1=1, axis2=2)
         scale = np.sqrt(np.maximum(diagonal, 1e-12))
         scaled = normal / (scale[:, :, None] * scale[:, None, :])
         scaled += (damping[:, None] + 1e-9)[:, :, None] * np.eye(9)
@@ -108,6 +108,9 @@ def _fitted(theta: F64, values: F64, offsets: F64, weights: F64) -> F64:
         by = np.where(better[:, None, None], by_then, by)
         cost = np.where(better, cost_then, cost)
         damping = np.where(better, damping / 5, damping * 5)
+        still = np.abs(step[:, 4:6]).max(axis=1) < STILL_PX
+        if (still | (damping > 1e6)).all():
+            break
     return theta
 
 
