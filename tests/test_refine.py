@@ -94,7 +94,7 @@ def test_soft_l1_is_that_of_scipy():
     assert np.abs(found - truth).max() < np.abs(plain - truth).max()
 
 
-def test_sandwich_of_independent_errors_is_the_textbook_one():
+def test_jackknife_of_independent_errors_is_the_textbook_one():
     rng = np.random.default_rng(2)
     design, weight = rng.normal(size=(300, 7, 2)), np.full((300, 7), 25.0)
     rest = 0.2 * rng.normal(size=(300, 7))

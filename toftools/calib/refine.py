@@ -10,8 +10,8 @@ by least squares with the soft L1 loss of `scipy.optimize.least_squares` (its tw
 constants of the pixels eliminated by centring (R. Frisch, F. Waugh, "Partial time regressions as
 compared with individual trends",
 Econometrica 1 (1933) 387-401), phases taken where they would be without noise, sizes of all models
-kept. Standard deviations are of the sandwich kind, with captures as clusters: errors within a
-capture may hang together. Common phase and fixed pattern are then fitted again, on walls without
+kept. Standard deviations come from leaving out one capture after another, since errors within one
+may hang together. Common phase and fixed pattern are then fitted again, on walls without
 the other three. It needs captures that tell the terms apart; what they leave open stays as the
 first fit had it.
 """
@@ -40,6 +40,7 @@ F_SCALE = 2.0
 MOST_STEPS, SETTLED = 30, 1e-2
 """Steps of the robust fit, and how far one may still move, standard deviations of the data."""
 LEAST_CAPTURES = 5
+LEAST_SHARE = 1e-9
 
 
 def refine(chain: Chain, captures: Sequence[Capture]) -> Chain:
@@ -153,21 +154,25 @@ def soft_l1(rows: F64, values: F64, start: F64) -> F64:
 
 
 def _covariance(design: F64, rest: F64, weight: F64) -> F64:
-    """Sandwich with captures as clusters.
+    """Covariance by leaving out one capture after another: errors within one may hang together.
 
     References
     ----------
-    K.-Y. Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika
-    73 (1986) 13-22; the factor for few clusters is the usual one (recalled).
+    B. Efron, C. Stein, "The jackknife estimate of variance", Annals of Statistics 9 (1981)
+    586-596; for clusters of least squares one solution of normal equations each.
     """
-    size = design.shape[-1]
-    bread = np.einsum("cpi,cp,cpj->ij", design, weight, design)
+    grams = np.einsum("cpi,cp,cpj->cij", design, weight, design)  # (C, K, K)
     scores = np.einsum("cpi,cp->ci", design, weight * rest)  # (C, K)
-    root = np.sqrt(np.maximum(np.diag(bread), 1e-300))
-    inverse = np.linalg.pinv(bread / np.outer(root, root), rcond=1e-10) / np.outer(root, root)
+    total = grams.sum(axis=0)
+    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    held = LEAST_SHARE * np.eye(size.size)
+    moved = [
+        np.linalg.solve((total - gram) / np.outer(size, size) + held, score / size) / size
+        for gram, score in zip(grams, scores, strict=True)
+    ]
+    steps = np.stack(moved)
     clusters = max(2, int((weight > 0).any(axis=1).sum()))
-    meat = scores.T @ scores * clusters / (clusters - 1)
-    return np.asarray(inverse @ meat @ inverse).reshape(size, size)
+    return np.asarray(steps.T @ steps * ((clusters - 1) / clusters))
 
 
 def _with_patterns(chain: Chain, captures: Sequence[Capture]) -> Chain:
