@@ -18,6 +18,7 @@ WORSE = 3.0
 """A view whose error is so many times the median of all views is left out."""
 FAR = 6.0
 """A corner so many standard deviations off is left out."""
+TINY = 1e-12
 FOLDED = 1.2
 """Held-out error, relative to the best, at which a model that does not turn back is preferred."""
 SPOILT = 0.3
@@ -48,6 +49,11 @@ class Trial:
     def held_out_px(self) -> float:
         """Root mean square length of the held-out errors, px."""
         return math.sqrt(float((self.loss * self.counts).sum() / self.counts.sum()))
+
+    @property
+    def typical_px(self) -> float:
+        """Geometric mean over views of the held-out errors, which no single view rules, px."""
+        return math.exp(0.5 * float(np.log(self.loss + TINY).mean()))
 
 
 def resized(camera: Camera, terms: int) -> Camera:
@@ -189,9 +195,10 @@ def trial(views: Sequence[Corners], near: Fit, terms: int, folds: int) -> Trial:
 def chosen(trials: Sequence[Trial]) -> Trial:
     """The smallest model that the best does not beat by more than two standard errors.
 
-    The error of the difference is taken over views, each scored by both models, so that what makes
-    a view hard for all of them cancels; two, because a superfluous model wins by one in every sixth
-    case. Models that turn back within the image are taken only if all others are clearly worse.
+    Compared is the logarithm of the error of each held-out view, view by view, so that what makes a
+    view hard for all models cancels and no single view rules; two standard errors, because by one a
+    superfluous model wins in every sixth case. Models that turn back within the image are taken
+    only if all others are clearly worse.
 
     Parameters
     ----------
@@ -204,12 +211,12 @@ def chosen(trials: Sequence[Trial]) -> Trial:
         The choice.
     """
     sound = [t for t in trials if np.isfinite(t.loss).all()] or list(trials)
-    best = min(sound, key=lambda t: t.held_out_px)
-    whole = [t for t in sound if not t.folds and t.held_out_px < FOLDED * best.held_out_px]
+    best = min(sound, key=lambda t: t.typical_px)
+    whole = [t for t in sound if not t.folds and t.typical_px < FOLDED * best.typical_px]
     if whole:
-        sound, best = whole, min(whole, key=lambda t: t.held_out_px)
+        sound, best = whole, min(whole, key=lambda t: t.typical_px)
     for candidate in sound:
-        worse = (candidate.loss - best.loss) * candidate.counts
+        worse = np.log(candidate.loss + TINY) - np.log(best.loss + TINY)
         error = float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
         if candidate is best or float(np.mean(worse)) <= 2 * error:
             return candidate
