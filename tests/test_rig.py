@@ -98,6 +98,15 @@ def test_with_all_answers_taken_off_a_plane_reads_its_range(name):
     assert seen == set(PLANES)
 
 
+def test_common_phase_of_a_fit_that_calls_the_amplitude_error_of_walls_zero():
+    errors = Errors(waveform="sine", bad_share=0.0, prnu=0.0, fppn_rad=0.0, amplitude_bend_rad=0.01)
+    truth = truth_of(errors, small())
+    walls = [c for _, c in planes(errors) if conditions_of(c).kind == "wall"]
+    seen = np.mean([phase_error_rad(wall) for wall in walls], axis=(0, 2, 3))
+    assert np.abs(truth.common_on(walls) - seen).max() < 1e-6
+    assert np.abs(truth.common_on(walls) - truth.common_phase_rad).min() > 1e-4
+
+
 @pytest.mark.parametrize("name", [name for name in ONLY if name != "prnu"])
 def test_what_is_planted_is_there(name):
     plain = replace(FAULTLESS, focal=(0.02, 0.01), dist=(-0.1, 0.02, 1e-3, 0, 0))

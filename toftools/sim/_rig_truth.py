@@ -1,15 +1,17 @@
 """The answers to a virtual rig: what a faultless calibration would find."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from toftools.phasor import phase, phasors_of
 from toftools.sim._rig_errors import Errors
 from toftools.sim._rig_unit import amplitude_error_rad, unit_of
 from toftools.sim._rig_wiggling import Wiggling, wiggling
-from toftools.types import F64, Bool, Camera, Sensor
+from toftools.types import F64, Bool, Camera, Capture, Sensor
+from toftools.units import TWO_PI
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,34 @@ class RigTruth:
         return amplitude_error_rad(
             self.amplitude_rad, self.reference_amplitude, phase_rad, amplitude
         )
+
+    def common_on(self, walls: Iterable[Capture]) -> F64:
+        """Common phase in the terms of a fit whose amplitude error is zero on average over walls.
+
+        Parameters
+        ----------
+        walls : iterable of Capture
+            Captures of the rig.
+
+        Returns
+        -------
+        ndarray, (F,)
+            Common phase with the mean of the planted amplitude error over their sound pixels, rad.
+        """
+        means = []
+        for capture in walls:
+            phasors = phasors_of(capture)
+            measured = phase(phasors.values.astype(np.complex128))
+            curve = self.wiggling
+            waves = [
+                np.interp(layer, curve.phase_rad, error, period=TWO_PI)
+                for layer, error in zip(measured, curve.error_rad, strict=True)
+            ]
+            left = measured - np.stack(waves) - self.common_phase_rad[:, None, None]
+            amplitude = np.abs(phasors.values).astype(np.float64)
+            related = self.amplitude_error_rad(left - self.fixed_pattern_rad, amplitude)
+            means.append(related[:, phasors.valid & ~self.bad].mean(axis=1))
+        return np.asarray(self.common_phase_rad + np.mean(means, axis=0))
 
     def arrays(self) -> dict[str, Any]:
         """All of it by name, as ``truth.npz`` holds it."""
