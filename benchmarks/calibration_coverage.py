@@ -5,11 +5,11 @@ fitted at 320x240 (section `lens` of the benchmark), so here its truth is given:
 no board. Stages are fitted one after another and then refined together, as `calibrate all` does.
 """
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 from calibration_truth import cyclic, surface
+from calibration_workers import workers
 from scipy.stats import t
 
 from toftools.calib._phase_surface import design
@@ -130,6 +130,6 @@ def table(results):
     return rows
 
 
-def run(seeds, workers=2, joint=True):
-    with ProcessPoolExecutor(workers) as pool:
+def run(seeds, joint=True):
+    with workers() as pool:
         return table(list(pool.map(one, range(seeds), [joint] * seeds)))
