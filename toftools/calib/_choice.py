@@ -22,6 +22,8 @@ BINS = 64
 """Parts of the turn that have data or not."""
 PULL = 1e-2
 """Where the turn has no data, the curve is drawn to 0 with this weight relative to data."""
+FEW = 40_000
+"""Measurements that tell outliers from the rest."""
 HUBER, CUT = 2.5, 6.0
 """Errors beyond HUBER deviations count linearly, beyond CUT not at all."""
 
@@ -157,12 +159,30 @@ def robust_weights(samples: Samples, columns: Columns, seen: Bool) -> tuple[F64,
     P. J. Huber, "Robust estimation of a location parameter", Annals of Mathematical Statistics 35
     (1964) 73-101; the scale is the median absolute deviation.
     """
-    kept = weight = samples.weight
+    few = _thinned(samples)
+    weight = few.weight
     for _ in range(5):
-        theta = _solved(samples, columns, seen, weight)
-        rest = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
-        kept, weight = _trimmed(samples, rest)
+        theta = _solved(few, columns, seen, weight)
+        _, weight = _trimmed(few, leftover(few, weight, _curve(columns, theta, few.phase_rad)))
+    model = _curve(columns, _solved(few, columns, seen, weight), samples.phase_rad)
+    kept = weight = samples.weight
+    for _ in range(5):  # the constants of the pixels, too, must get rid of outliers
+        kept, weight = _trimmed(samples, leftover(samples, weight, model))
     return kept, weight
+
+
+def _thinned(samples: Samples) -> Samples:
+    """About `FEW` measurements of evenly chosen pixels."""
+    step = max(1, samples.phase_rad.size // FEW)
+    parts = samples.parts if samples.by_capture else ((None, slice(None)),)
+    return replace(
+        samples,
+        phase_rad=samples.phase_rad[:, ::step],
+        error_rad=samples.error_rad[:, ::step],
+        weight=samples.weight[:, ::step],
+        sigma_rad=None,
+        parts=parts,
+    )
 
 
 def _trimmed(samples: Samples, rest: F64) -> tuple[F64, F64]:
