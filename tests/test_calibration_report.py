@@ -101,6 +101,9 @@ def test_the_page_tells_and_shows_everything_and_needs_no_other_file():
     assert not re.findall(r'(?:src|href)="(?!data:image/webp;base64,|#)', page)
     assert "<script" not in page
     assert not re.search(r">\s*(nan|None|inf)\b", page)
+    ablation = page.split("What each stage is worth")[1].split("</table>")[0]
+    assert re.findall(r"<tr><td>(\w+)", ablation) == ["nothing", "wiggling", "common_phase",
+                                                      "fixed_pattern"]  # fmt: skip
     headings = re.findall(r"<h2[^>]*>([^<]+)", page)
     assert headings[:2] == ["Stages", "Held-out captures"]
 

@@ -50,7 +50,7 @@ class Need:
 
 NEEDS: Mapping[str, Need] = {
     "lens": Need(
-        ((3, "board"),),
+        ((4, "board"),),
         "capture 15 to 30 views of a printed board (toftools board), tilted every way, some of "
         "them in the corners of the image (kind board)",
     ),

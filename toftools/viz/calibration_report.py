@@ -13,6 +13,7 @@ import numpy as np
 from toftools.calib.chain import Chain
 from toftools.calib.fit import Outcome
 from toftools.calib.verdict import GOOD, Verdict
+from toftools.calib.verdict import verdict as judge
 from toftools.types import Capture
 from toftools.viz._calibration_data import Sample, error_maps_mm, samples
 from toftools.viz._numbers import figure
@@ -20,6 +21,8 @@ from toftools.viz.calibration import Course, Cyclic, course_png, cyclic_png, dis
 from toftools.viz.figures import maps_png
 
 _TEMPLATE = Path(__file__).with_name("calibration.html.j2")
+ABLATED = 4
+"""Held-out captures on which every stage is left out in turn."""
 NOT_JUDGED = (
     "NOT JUDGED: one stage was fitted; toftools calibrate all holds captures out and judges"
 )
@@ -118,8 +121,25 @@ def _held(chain: Chain, verdict: Verdict, held_out: Sequence[Capture]) -> dict[s
     ]
     causes = ", ".join(f"{name} {figure(mm)}" for name, mm in verdict.causes_mm.items())
     pictures = [*_distance(verdict), *_maps(chain, held_out)]
-    return {"scores": scores, "spots": spots, "causes": "" if verdict.good else causes,
-            "figures": pictures}  # fmt: skip
+    return {
+        "scores": scores,
+        "spots": spots,
+        "causes": "" if verdict.good else causes,
+        "figures": pictures,
+        "ablation": _ablation(chain, held_out),
+    }
+
+
+def _ablation(chain: Chain, held_out: Sequence[Capture]) -> list[tuple[str, str, str]]:
+    """Error of some held-out captures with each stage left out in turn, the others as they are."""
+    some = held_out[:: max(1, len(held_out) // ABLATED)][:ABLATED]
+    whole = judge(chain, some).after[-1]
+    rows = [("nothing", figure(whole.rms_mm), figure(whole.ratio))]
+    for stage in chain.stages:
+        if stage.slot != "extrinsics":
+            left = judge(chain.without(stage.slot), some).after[-1]
+            rows.append((stage.slot, figure(left.rms_mm), figure(left.ratio)))
+    return rows
 
 
 def _distance(verdict: Verdict) -> list[Picture]:
