@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from toftools.registry import CORRECTIONS, METRICS, READERS, SIMULATORS, find, parameters_of
+from toftools.registry import (
+    CALIBRATIONS,
+    CORRECTIONS,
+    METRICS,
+    READERS,
+    SIMULATORS,
+    find,
+    parameters_of,
+)
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "toftools"
@@ -116,7 +124,9 @@ def test_help_is_light():
 
 
 @pytest.mark.parametrize(
-    "table", [SIMULATORS, CORRECTIONS, METRICS], ids=["sim", "correct", "metric"]
+    "table",
+    [SIMULATORS, CALIBRATIONS, CORRECTIONS, METRICS],
+    ids=["sim", "calib", "correct", "metric"],
 )
 def test_entries_load_and_take_keyword_parameters_with_defaults(table):
     import inspect
