@@ -22,6 +22,8 @@ PAPERS_MM = {
     "tabloid": (279.4, 431.8),
 }
 """Width and height of paper upright, mm."""
+DPI = 254
+"""Ten pixels per mm: squares of whole tenths of a millimetre end between pixels."""
 MARGIN_MM = 8.0
 STRIP_MM = 12.0
 """Ruler and text below the board."""
@@ -119,7 +121,7 @@ def _share(board: Board, width_mm: float, height_mm: float) -> float:
     return min((width_mm - 2 * MARGIN_MM) / width, free / height)
 
 
-def write_sheet(path: Path | str, sheet: Sheet, *, dpi: int = 300) -> None:
+def write_sheet(path: Path | str, sheet: Sheet, *, dpi: int = DPI) -> None:
     """Write a sheet, whole or not at all.
 
     Parameters

@@ -20,7 +20,7 @@ Example: toftools board chessboard:columns=8,rows=5,square_m=0.03 --out board.pd
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False),
               help="Sheet to print, *.pdf (vector) or *.png.")  # fmt: skip
 @click.option("--paper", default="A4", show_default=True, help="Paper it must fit on.")
-@click.option("--dpi", default=300, show_default=True, help="Pixels per inch of a PNG.")
+@click.option("--dpi", default=254, show_default=True, help="Pixels per inch of a PNG.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
 def command(*, board_text: str, out: Path, paper: str, dpi: int, as_json: bool) -> None:
     """Write a calibration board to print at true size."""
