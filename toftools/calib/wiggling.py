@@ -11,7 +11,7 @@ Inputs: a plane on a rail, an electronic delay sweep, or captures with a known r
 What adds a constant to a pixel (fixed pattern, drift, wrong zero of the rail) is taken off first
 and does no harm, if pixels see two phases or more. Fails where the phases seen do not fill the
 turn: the curve is right where there are data and drawn towards 0 elsewhere (docs/calibration/
-real.md: 2.0 of 6.3 rad leave single coefficients undetermined).
+real.md: 2 of 6.3 rad leave single coefficients undetermined).
 """
 
 from collections.abc import Sequence
