@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.types import F64
+from toftools.types import F64, Bool
 from toftools.units import TWO_PI
 
 DPI = 130
@@ -34,6 +34,8 @@ class Cyclic:
         Range error without and with the stage, mm.
     curve_mm : ndarray, (M,)
         The fitted error over a turn, mm.
+    covered : ndarray, (M,), bool, or None
+        Where the fit had data; everywhere if None.
     """
 
     title: str
@@ -41,6 +43,7 @@ class Cyclic:
     before_mm: F64
     after_mm: F64
     curve_mm: F64
+    covered: Bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,11 @@ def cyclic_png(panels: Sequence[Cyclic]) -> bytes:
             centre, middle = _binned(panel.phase_rad, values)
             ax.plot(np.degrees(centre), middle, "-", lw=1.6, color=color, label=name)
         turn = np.linspace(0, 360, panel.curve_mm.size)
-        ax.plot(turn, panel.curve_mm, "--", lw=1.3, color=FIT, label="fitted")
+        known = panel.curve_mm
+        if panel.covered is not None:
+            known = np.where(panel.covered, known, np.nan)
+            ax.plot(turn, panel.curve_mm, ":", lw=0.8, color=SOFT)
+        ax.plot(turn, known, "--", lw=1.3, color=FIT, label="fitted")
         ax.set_xlim(0, 360)
         ax.set_xticks(range(0, 361, 60))
         ends = np.concatenate([panel.before_mm[thin], panel.after_mm[thin], panel.curve_mm])
@@ -202,6 +209,8 @@ def lens_png(corners_px: F64, errors_px: F64, size: tuple[int, int]) -> bytes:
 
 def _binned(phase_rad: F64, values: F64) -> tuple[F64, F64]:
     """Medians over equal parts of the turn that hold data."""
+    known = np.isfinite(values)
+    phase_rad, values = phase_rad[known], values[known]
     place = np.clip((phase_rad * (BINS / TWO_PI)).astype(int), 0, BINS - 1)
     parts = [values[place == n] for n in range(BINS)]
     middle = [np.median(part) if part.size > 3 else np.nan for part in parts]

@@ -213,15 +213,17 @@ def _wiggling(chain: Chain, captures: Sequence[Capture]) -> Section:
     nodes = np.linspace(0, 2 * np.pi, 361)
     curve = stage.error_rad(np.tile(nodes, (chain.freqs_hz.size, 1)), np.ones((1, 1)))
     curve_mm = np.broadcast_to(curve, (chain.freqs_hz.size, 361)) * first.mm_per_rad[:, None]
+    told = np.asarray(getattr(stage, "covered", np.ones((chain.freqs_hz.size, 1), bool)))
+    covered = told[:, np.minimum(np.arange(361) * told.shape[1] // 361, told.shape[1] - 1)]
     panels = [
         Cyclic(f"{freq / 1e6:g} MHz", first.phase_rad[f], first.error_mm[f], last.error_mm[f],
-               curve_mm[f])
+               curve_mm[f], covered[f])
         for f, freq in enumerate(chain.freqs_hz)
     ]  # fmt: skip
     text = (
         "Range error over the phase that the pixel measures, with all other stages applied: "
         "without wiggling (orange) and with it (green); lines are medians. What is fitted passes "
-        "through the orange points, and the green ones lie flat."
+        "through the orange points, and the green ones lie flat; dotted where the fit had no data."
     )
     caption = f"{len(captures)} captures, the mean of each frequency taken off."
     return Section("Wiggling", text, (_picture(cyclic_png(panels), "cyclic error", caption),))
