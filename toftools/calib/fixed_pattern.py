@@ -3,7 +3,7 @@
 ``measured = true + map_rad[f, v, u]``, zero on average over the usable pixels, since the constant
 is `common_phase`'s. Input: one or more walls (kind ``wall``) at known distances; the cosine of each
 ray is applied to the true distance of the plane, never to the measured phase, which would tilt
-with the offset that it holds. Similar: TI calibration wizard (research note calibration_ecosystem),
+with the offset that it holds. Similar: TI calibration wizard (github.com/3dtof/calibwizard),
 which divides the phase. Walls are averaged with the weights of their noise, robustly from three
 on. What no wall can tell: a tilt and a delay that grows across the sensor look alike in metres at
 one distance (see `tilt`), and a wall 1 mm off its stated distance bends the map like a bowl, by

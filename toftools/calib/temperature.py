@@ -2,7 +2,7 @@
 
 ``measured = true + slope[f, 0] (T_sensor - R_sensor) + slope[f, 1] (T_light - R_light)``, 0 at the
 reference R: the temperatures at which common phase was measured. Linear in both as in the TI
-calibration wizard (research note calibration_ecosystem). Input: frames of kind ``warmup`` of a
+calibration wizard (github.com/3dtof/calibwizard). Input: frames of kind ``warmup`` of a
 target that stands still, with their temperatures; walls that say theirs fix the reference. Each
 frame counts by the mean over its pixels, so where the target stood does not matter. It fails
 where the diode follows neither sensor: a lag shows as residuals that follow the order of the
