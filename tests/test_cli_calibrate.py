@@ -161,6 +161,27 @@ def test_a_missing_earlier_stage_is_a_warning(capsys, folder, tmp_path, caplog):
     assert "fixed_pattern is fitted without lens, wiggling and common_phase" in caplog.text
 
 
+def test_a_table_elsewhere_and_a_calibration_to_start_from(capsys, folder, tmp_path):
+    table = tmp_path / "mine.csv"
+    table.write_text("file,kind,distance_m\nwall0.h5,wall,1.0\nwall1.h5,wall,1.1\n")
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    code, said, err = call(capsys, "calibrate", "common_phase", folder, "--conditions", table,
+                           "--out", first)  # fmt: skip
+    assert code == 0, err
+    before = first.read_bytes()
+    code, said, err = call(capsys, "calibrate", "fixed_pattern", folder, "--from", first, "--out",
+                           second)  # fmt: skip
+    assert code == 0, err
+    assert "fixed_pattern takes 3 wall out of " in said
+    assert "which holds common_phase, fixed_pattern" in said
+    assert first.read_bytes() == before
+    code, said, err = call(capsys, "calibrate", "all", folder, "--from", second, "--out",
+                           tmp_path / "third.json", "--skip", "wiggling", "--skip", "common_phase",
+                           "--skip", "fixed_pattern")  # fmt: skip
+    assert code == 0, err
+    assert "  common_phase   stays as it was" in said
+
+
 def test_options_stand_in_for_the_table(capsys, tmp_path):
     write_capture(tmp_path / "one.h5", seen(1.0, seed=1))
     write_capture(tmp_path / "two.h5", seen(1.0, seed=2))
@@ -217,6 +238,7 @@ def test_a_truncated_file_and_an_empty_folder_are_refused(capsys, tmp_path):
     [
         (["--out", "o.txt"], "a calibration is written as .json"),
         (["--out", "nowhere/o.json"], "cannot write"),
+        (["--out", "o.json", "--report", "o.json"], "a report is written as .html"),
         (["--out", "o.json", "--skip", "lense"], "there is no stage 'lense'"),
         (["--out", "o.json", "--stage", "wigglin"], "unknown name 'wigglin'"),
         (["--out", "o.json", "--from", "no.json"], "cannot read the calibration"),

@@ -58,6 +58,9 @@ def calibrated(job: Job) -> dict[str, Any]:
     if job.out.suffix.lower() != ".json":
         msg = f"got --out {job.out.name}; a calibration is written as .json"
         raise ValueError(msg)
+    if job.report is not None and job.report.suffix.lower() not in (".html", ".htm"):
+        msg = f"got --report {job.report.name}; a report is written as .html"
+        raise ValueError(msg)
     for target in (job.out, job.report):
         if target is not None:
             check_target(target)
