@@ -10,7 +10,6 @@ are OpenCV's. Reference: Z. Zhang, A flexible new technique for camera calibrati
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -213,10 +212,10 @@ def covariance(fit: Fit, views: Sequence[Corners], extra: Sequence[F64] = ()) ->
     step : ndarray, (4 + n + M,)
         Where one more Gauss-Newton step would put camera (as a difference) and further unknowns.
     covariance : ndarray, (4 + n + M, 4 + n + M)
-        Covariance of all of them, poses unknown, by the scatter of the residuals.
+        Covariance of all of them, poses unknown, by the scatter of the residuals; scaled up where
+        the views scatter more than their corners say, as they do if errors within a view agree.
     """
-    schur: Any = 0.0
-    right: Any = 0.0
+    squares, pulls = [], []
     for i, (pose, view) in enumerate(zip(fit.poses, views, strict=True)):
         _, by_camera, by_pose = projected(fit.camera, pose, view.points)
         by = np.hstack([by_camera, extra[i]]) if len(extra) else by_camera
@@ -224,11 +223,19 @@ def covariance(fit: Fit, views: Sequence[Corners], extra: Sequence[F64] = ()) ->
         # What the pose cannot explain.
         basis, _ = np.linalg.qr(by_pose)
         rest = by - basis @ (basis.T @ by)
-        schur, right = schur + rest.T @ rest, right + rest.T @ error
+        squares.append(rest.T @ rest)
+        pulls.append(rest.T @ error)
+    schur = np.sum(squares, axis=0)
     size = np.sqrt(np.maximum(np.diag(schur), 1e-300))
     inverse = np.linalg.pinv(schur / np.outer(size, size), rcond=1e-13, hermitian=True)
     inverse = inverse / np.outer(size, size)
     free = 2 * sum(len(e) for e in fit.errors) - 6 * len(fit.errors) - len(size)
+    right = np.sum(pulls, axis=0)
     step = inverse @ right
-    left = fit.cost - float(right @ step)
-    return step, inverse * max(left, 0.0) / max(free, 1)
+    left = max(fit.cost - float(right @ step), 0.0)
+    by_corners = inverse * (left / max(free, 1))
+    # What every view alone does to the unknowns, once the step is taken.
+    moved = (np.array(pulls) - np.array(squares) @ step) @ inverse
+    by_views = (moved**2).sum(axis=0) * len(moved) / max(len(moved) - 1, 1)
+    more = np.sqrt(np.maximum(by_views / np.maximum(np.diag(by_corners), 1e-300), 1.0))
+    return step, by_corners * np.outer(more, more)
