@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toftools.calib.residuals import phase_error_rad, same_sensor, wrap_half
 from toftools.conditions import conditions_of, name_of, with_conditions
@@ -117,8 +118,7 @@ def gather(captures: Sequence[Capture]) -> list[Samples]:
     height, width = captures[0].sensor.camera.shape
     step = max(1, round(float(np.sqrt(len(captures) * height * width / KEPT)) + 0.499))
     rows, columns = (np.arange(min(step // 2, n - 1), n, step) for n in (height, width))
-    grid = np.ix_(rows, columns)
-    read = [_read(capture, grid) for capture in captures]
+    read = [_read(capture, rows[:, None], columns[None]) for capture in captures]
     if not any(np.isfinite(error).any() for _, error, _ in read):
         msg = (
             f"{name_of(captures[0])} and {len(captures) - 1} more captures hold no pixel with both "
@@ -129,7 +129,8 @@ def gather(captures: Sequence[Capture]) -> list[Samples]:
     order = np.argsort(tile.ravel(), kind="stable")
     edges = np.flatnonzero(np.diff(tile.ravel()[order], prepend=-1, append=TILES**2))
     tiles = tuple((None, slice(a, b)) for a, b in itertools.pairwise(edges))
-    phase, error = (np.stack([part[i] for part in read])[..., order] for i in (0, 1))
+    phase = np.stack([part[0] for part in read])[..., order]
+    error = np.stack([part[1] for part in read])[..., order]
     noise = [part[2] for part in read if part[2] is not None]
     sigma = np.stack(noise)[..., order] if len(noise) == len(read) else None
     return [
@@ -139,7 +140,7 @@ def gather(captures: Sequence[Capture]) -> list[Samples]:
 
 
 def _read(
-    capture: Capture, grid: tuple[np.ndarray[tuple[int, ...], np.dtype[np.intp]], ...]
+    capture: Capture, row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> tuple[F64, F64, F64 | None]:
     """Phase, error and noise (F, P) of the pixels on a grid."""
     told = conditions_of(capture)
@@ -147,13 +148,12 @@ def _read(
         # The wall stands still: how far away it is only adds a constant to every pixel.
         capture = with_conditions(capture, replace(told, distance_m=1.0))
     phasors = phasors_of(capture)
-    where = (slice(None), *grid)
-    error = phase_error_rad(capture)[where]
+    error = phase_error_rad(capture)[:, row, column]
     flat = (error.shape[0], -1)
-    phase = np.angle(phasors.values[where]).astype(np.float64)
+    phase = np.angle(phasors.values[:, row, column]).astype(np.float64)
     with np.errstate(over="ignore"):  # dark pixels, which no error belongs to
         sigma = phase_sigma_rad(phasors)
-    noise = None if sigma is None else sigma[where].astype(np.float64).reshape(flat)
+    noise = None if sigma is None else sigma[:, row, column].astype(np.float64).reshape(flat)
     return phase.reshape(flat), error.reshape(flat), noise
 
 
