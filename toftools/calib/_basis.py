@@ -5,6 +5,7 @@ function.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toftools.types import F64
 from toftools.units import TWO_PI
@@ -124,7 +125,7 @@ def spline_curve(knot_rad: F64, phase_rad: F64, degree: int, *, slope: bool = Fa
 
 def _local(
     phase: F64, knots: int, degree: int, *, slope: bool
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.intp]], tuple[F64, ...]]:
+) -> tuple[NDArray[np.intp], tuple[F64, ...]]:
     """First knot that a phase feels, and the weights of this knot and those after it."""
     place = phase * (knots / TWO_PI)
     cell = np.floor(place)
