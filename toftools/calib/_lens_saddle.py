@@ -1,11 +1,11 @@
 """Subpixel corners by least squares: two blurred edges that cross, fitted to the pixels around.
 
-Model around a corner c: ``I(p) = m + g . d + a E1 E2``, d = p - c, ``E = erf(n . d / (sqrt 2 s))``,
-n the normals of the two edges, s the blur, g what is left of the light's fall-off. All nine numbers
-of all corners are found together by damped Gauss-Newton. Turned by half a turn about c the model is
-the same, so a monotone change of brightness (gamma, saturation of both sides) does not move c.
-Fails below about 5 px a square, where the window holds too few pixels, and under glare: such
-corners are reported as lost.
+Model around a corner c: ``I(p) = (1 + g . d) (m + a E1 E2)``, d = p - c,
+``E = erf(n . d / (sqrt 2 s))``, n the normals of the two edges, s the blur, g the fall-off of the
+light across the window. All nine numbers of all corners are found together by damped Gauss-Newton.
+Apart from the light, the model is the same turned by half a turn about c, so a monotone change of
+brightness (gamma) hardly moves c. Fails below about 5 px a square, where the window holds too few
+pixels, and under glare: such corners are reported as lost.
 """
 
 import math
@@ -75,7 +75,7 @@ def _window(image: F32, corners: F64, radius: F64) -> tuple[F64, F64, F64]:
 
 
 def _start(values: F64, along: F64, weights: F64) -> F64:
-    """First nine numbers: mean, gradient, contrast, shift (2), edge angles (2), log of the blur."""
+    """First nine numbers: mean, light (2), contrast, shift (2), angles (2), log of the blur."""
     theta = np.zeros((len(values), 9))
     total = np.maximum(weights.sum(axis=1), 1e-9)
     theta[:, 0] = (values * weights).sum(axis=1) / total
@@ -129,7 +129,7 @@ def _model(theta: F64, values: F64, offsets: F64) -> tuple[F64, F64]:
     """Measured minus modelled brightness (N, M), and the derivatives of the model (N, M, 9)."""
     from scipy.special import erf
 
-    mean, gradient, contrast = theta[:, :1], theta[:, None, 1:3], theta[:, 3:4]
+    mean, slope, contrast = theta[:, :1], theta[:, None, 1:3], theta[:, 3:4]
     d = offsets - theta[:, None, 4:6]
     blur = np.exp(theta[:, 8:9])
     scale = 1 / (math.sqrt(2) * blur)
@@ -142,18 +142,20 @@ def _model(theta: F64, values: F64, offsets: F64) -> tuple[F64, F64]:
         normals.append((cos * scale, sin * scale, q))
         turned.append((cos * d[:, :, 1] - sin * d[:, :, 0]) * scale)
     product = edges[0] * edges[1]
-    model = mean + (gradient * d).sum(axis=2) + contrast * product
+    paper = mean + contrast * product
+    light = 1 + (slope * d).sum(axis=2)
+    model = paper * light
     first, second = contrast * edges[1] * slopes[0], contrast * edges[0] * slopes[1]
     (ax, ay, aq), (bx, by_, bq) = normals
     derivatives = [
-        np.ones_like(model),
-        d[:, :, 0],
-        d[:, :, 1],
-        product,
-        -gradient[:, :, 0] - first * ax - second * bx,
-        -gradient[:, :, 1] - first * ay - second * by_,
-        first * turned[0],
-        second * turned[1],
-        -first * aq - second * bq,
+        light,
+        d[:, :, 0] * paper,
+        d[:, :, 1] * paper,
+        product * light,
+        -slope[:, :, 0] * paper - (first * ax + second * bx) * light,
+        -slope[:, :, 1] * paper - (first * ay + second * by_) * light,
+        first * turned[0] * light,
+        second * turned[1] * light,
+        -(first * aq + second * bq) * light,
     ]
     return values - model, np.stack(derivatives, axis=-1)
