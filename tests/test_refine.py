@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from toftools.calib._refine_data import pools, usable_captures
+from toftools.calib._refine_spread import widened
 from toftools.calib._refine_terms import term_of
 from toftools.calib.amplitude import Amplitude
 from toftools.calib.chain import applied, chain_for, extended
@@ -124,6 +125,19 @@ def test_planted_drift_is_found(refined):
     off = stage.slope_rad_per_k[:, 1] - truth.light_rad_per_k
     assert stage.needs == ("light_c",)
     assert (np.abs(off) < 4 * stage.sigma_rad_per_k[:, 1]).all()
+
+
+def test_constants_know_of_the_other_stages(chain, refined, captures):
+    optics = [replace(c, taps=None) for c in unchecked(captures)]
+    walls = [c for c in optics if conditions_of(c).kind == "wall"]
+    terms = [t for t in map(term_of, refined.stages) if t is not None]
+    sizes = [sum(t.start[f].size for t in terms) for f in range(2)]
+    none = widened(refined, terms, [np.zeros((n, n)) for n in sizes], walls)
+    wide = widened(refined, terms, [1e-4 * np.eye(n) for n in sizes], walls)
+    for slot in ("common_phase", "fixed_pattern"):
+        first, same, more = (c.stage(slot).sigma_rad for c in (refined, none, wide))
+        np.testing.assert_allclose(same, first)
+        assert (more >= first - 1e-15).all() and (more > first).any()
 
 
 def test_surface_is_zero_at_its_reference_amplitude(refined):

@@ -73,7 +73,7 @@ def usable_captures(chain: Chain, captures: Sequence[Capture]) -> list[Capture]:
     return found
 
 
-def pools(chain: Chain, captures: Sequence[Capture]) -> tuple[Pool, ...]:
+def pools(chain: Chain, captures: Sequence[Capture], *, step: int = 0) -> tuple[Pool, ...]:
     """Measurements per frequency.
 
     Parameters
@@ -82,6 +82,8 @@ def pools(chain: Chain, captures: Sequence[Capture]) -> tuple[Pool, ...]:
         Phase stages to refine, applied to find the phase that the amplitude stage sees.
     captures : sequence of Capture
         Captures out of `usable_captures`, corrected for lens and response.
+    step : int
+        Pixels from one that is kept to the next; 0 keeps as many as `KEPT` allows.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def pools(chain: Chain, captures: Sequence[Capture]) -> tuple[Pool, ...]:
     middle = chain.before("amplitude")
     height, width = captures[0].sensor.camera.shape
     per_capture = max(LEAST_PIXELS, KEPT // len(captures))
-    step = max(1, int(np.ceil(np.sqrt(height * width / per_capture))))
+    step = step or max(1, int(np.ceil(np.sqrt(height * width / per_capture))))
     grid = (slice(None), slice(step // 2, None, step), slice(step // 2, None, step))
     lines = [_line(middle, capture, grid) for capture in captures]
     phase, corrected, level, error, weight = (np.stack(part) for part in zip(*lines, strict=True))

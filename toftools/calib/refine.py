@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from toftools.calib._refine_data import Pool, centred, kept, pools, usable_captures
+from toftools.calib._refine_spread import widened
 from toftools.calib._refine_terms import WEAK_RAD, Term, term_of
 from toftools.calib.chain import Chain, applied
 from toftools.calib.common_phase import CommonPhase, common_phase
@@ -67,8 +68,11 @@ def refine(chain: Chain, captures: Sequence[Capture]) -> Chain:
     bare = [replace(applied(optics, capture), taps=None) for capture in used]
     for number in range(ROUNDS):
         LOG.info("refining %d stages together, round %d of %d", len(terms), number + 1, ROUNDS)
-        phases = _with_patterns(_round(phases, terms, bare), bare)
+        phases, covariances = _round(phases, terms, bare)
+        phases = _with_patterns(phases, bare)
         terms = [term for term in map(term_of, phases.stages) if term is not None]
+    walls = [capture for capture in bare if conditions_of(capture).kind == "wall"]
+    phases = widened(phases, terms, covariances, walls)
     new = {stage.slot: stage for stage in phases.stages}
     return replace(chain, stages=tuple(new.get(s.slot, s) for s in chain.stages))
 
@@ -78,8 +82,10 @@ def _phase_part(chain: Chain) -> Chain:
     return chain.without("lens").without("response").without("extrinsics")
 
 
-def _round(chain: Chain, terms: Sequence[Term], captures: Sequence[Capture]) -> Chain:
-    """The chain with the coefficients of all terms fitted at once."""
+def _round(
+    chain: Chain, terms: Sequence[Term], captures: Sequence[Capture]
+) -> tuple[Chain, list[F64]]:
+    """The chain with the coefficients of all terms fitted at once, and their covariances."""
     fits = [_fitted(pool, terms, f) for f, pool in enumerate(pools(chain, captures))]
     stages: dict[str, Stage] = {}
     ends = [np.cumsum([0, *(term.start[f].size for term in terms)]) for f in range(len(fits))]
@@ -88,7 +94,8 @@ def _round(chain: Chain, terms: Sequence[Term], captures: Sequence[Capture]) -> 
         values = [theta[span] for (theta, _), span in zip(fits, spans, strict=True)]
         spread = [cov[span, span] for (_, cov), span in zip(fits, spans, strict=True)]
         stages[term.slot] = term.rebuilt(values, spread, len(captures) - 1)
-    return replace(chain, stages=tuple(stages.get(s.slot, s) for s in chain.stages))
+    refined = replace(chain, stages=tuple(stages.get(s.slot, s) for s in chain.stages))
+    return refined, [covariance for _, covariance in fits]
 
 
 def _fitted(pool: Pool, terms: Sequence[Term], f: int) -> tuple[F64, F64]:

@@ -28,8 +28,9 @@ from toftools.calib.stage import Residual
 from toftools.types import F64, Bool, Capture, Phasors
 from toftools.units import TWO_PI
 
-MOST_HARMONICS = 16
-"""Orders to choose from: with square waves and four taps order 12 still moves phase by 4 mrad."""
+MOST_HARMONICS = 32
+"""Orders to choose from: with square waves and four taps order 28 still moves phase by 0.2 mrad,
+which would bend the coefficients below it by more than their deviations."""
 
 
 @dataclass(frozen=True, eq=False)
