@@ -197,7 +197,7 @@ def test_size_of_the_distortion_is_what_the_data_need(views):
     rng = np.random.default_rng(0)
     k3 = replace(PINHOLE, dist=np.array([-0.25, 0.15, 1e-3, -1e-3, -0.06]))
     for truth, size in ((replace(PINHOLE, dist=np.zeros(0)), 0), (k3, 5)):
-        data = views.corners(rng, 20, truth, BOARD, 0.02)
+        data = views.corners(rng, 14, truth, BOARD, 0.02)
         kept = without_outliers(data, starts(truth, (240, 320), "pinhole"), 8)
         trials = [trial(kept.views, kept.fit, terms, 5) for terms in (0, 4, 5, 8)]
         assert chosen(trials).terms == size

@@ -14,7 +14,7 @@ from toftools.calib.board import Board
 
 LEAST = 4
 """Views that a fit needs; three determine a pinhole, one more tells whether they agree."""
-PATIENCE = 2
+PATIENCE = 1
 """Views without the board from the start after which another board is looked for in them."""
 LEAST_TILT_DEG = 5.0
 MOST_SPREAD, WIDE_SPREAD = 0.2, 0.02
