@@ -177,7 +177,8 @@ def page(runs, found, seeds):
     ]
     for n in COUNTS:
         lines += [row("lens", n, runs["images"][n][0]), row("OpenCV", n, runs["images"][n][1])]
-    lines += ["", "Boards found, lens against plain OpenCV: " + ", ".join(
+    used = "Views used, lens (outliers left out) against plain OpenCV (where it finds the board): "
+    lines += ["", used + ", ".join(
         f"{sum(a for a, _ in found[n])} and {sum(b for _, b in found[n])} of {n * seeds}"
         for n in COUNTS) + ".", ""]  # fmt: skip
     lines += [f"## The same corners, truth plus normal noise of {NOISE_PX} px", "", HEAD]
