@@ -14,7 +14,15 @@ from pathlib import Path
 
 from toftools.bench.render import markdown_table, number
 from toftools.bench.table import groups, summarise, unsuited
-from toftools.registry import CORRECTIONS, FILTERS, METRICS, READERS, SIMULATORS, parameters_of
+from toftools.registry import (
+    CALIBRATIONS,
+    CORRECTIONS,
+    FILTERS,
+    METRICS,
+    READERS,
+    SIMULATORS,
+    parameters_of,
+)
 from toftools.sensors import PRESETS, SOURCES
 from toftools.sim.analytic import SCENES
 from toftools.sim.scenes import FILES, WORLDS
@@ -68,6 +76,9 @@ def methods_md():
         "## Filters\n\nSteps before or after a correction, joined to a chain by `>` "
         "([docs/benchmark.md](benchmark.md#chains)).",
         *method_sections(FILTERS),
+        "## Calibrations\n\nA calibration fits a stage to captures; a stage corrects phasors, taps "
+        "or optics ([docs/calibration](calibration/index.md)).",
+        *method_sections(CALIBRATIONS),
         "## Simulators",
         *method_sections(SIMULATORS),
         "### Closed-form scenes\n",

@@ -142,7 +142,7 @@ def _solved(rows: F64, exposure: F64, n_terms: int) -> Curve:
     spare = max(target.size - rows.shape[2] - n_terms, 1)
     scatter = float(np.sum((target + matrix @ terms) ** 2)) / spare
     sd = np.sqrt(scatter * np.diag(np.linalg.pinv(matrix.T @ matrix)))
-    return Curve(terms, sd)
+    return Curve(np.asarray(terms, np.float64), np.asarray(sd, np.float64))
 
 
 def _rises(terms: F64) -> bool:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -164,7 +164,7 @@ def _walls(plan: Plan, unit: Unit, seed: int) -> list[Take]:
 def _gray(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     """All at the exposure that suits the middle one at 1 m: brightness does the rest."""
     exposure = _told(unit, "gray", 1.0, albedo=0.5).exposure
-    found = []
+    found: list[Take] = []
     for z in plan.gray_m:
         for albedo in plan.albedos:
             light = exposure / _told(unit, "gray", z, albedo=albedo).exposure
@@ -205,15 +205,15 @@ def _at(told: Conditions, sensor_c: float, light_c: float) -> Conditions:
 def _lamp(plan: Plan, unit: Unit, seed: int) -> list[Take]:
     """Dark frames, and flats in the light of a steady lamp."""
     errors, noise = unit.errors, unit.nominal.noise
-    warm = {"sensor_c": errors.reference_sensor_c, "light_c": errors.reference_light_c}
+    sensor_c, light_c = errors.reference_sensor_c, errors.reference_light_c
     full = min(noise.full_well_e, 8 * level_e(unit.nominal))
-    dark = [
-        Take(_name("dark", i), Conditions("dark", **warm), albedo=0.0) for i in range(plan.dark)
-    ]
+    unlit = Conditions("dark", sensor_c=sensor_c, light_c=light_c)
+    dark = [Take(_name("dark", i), unlit, albedo=0.0) for i in range(plan.dark)]
     chosen = np.linspace(0, len(LAMP) - 1, plan.flats).round().astype(int)
     flats = [
         Take(
-            _name("flat", i), Conditions("flat", exposure=LAMP[k] / LAMP[0], **warm),
+            _name("flat", i),
+            replace(unlit, kind="flat", exposure=LAMP[k] / LAMP[0]),
             albedo=0.0, lamp_e=LAMP[k] * full,
         )
         for i, k in enumerate(chosen.tolist())
@@ -233,8 +233,8 @@ def _check(plan: Plan, unit: Unit, seed: int) -> list[Take]:
         apart = np.abs(places[:, None] - taken).min(axis=1)
         z = round(float(places[np.argmax(apart)]), 4)
         tilt, way = np.radians(20 * rng.random()), 2 * np.pi * rng.random()
-        normal = (np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), -np.cos(tilt))
-        normal = tuple(round(float(x), 4) for x in normal)
+        across = np.round(np.sin(tilt) * np.array([np.cos(way), np.sin(way)]), 4).tolist()
+        normal = (across[0], across[1], round(-float(np.cos(tilt)), 4))
         albedo, light = round(rng.uniform(0.2, 0.8), 3), float(2 ** rng.uniform(-1, 1))
         told = _told(unit, "check", z, albedo=albedo, normal=normal, light=light)
         warm = _temperatures(unit, float(rng.uniform(0.3, 4)) * unit.errors.light_tau_s)

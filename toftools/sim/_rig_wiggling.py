@@ -72,7 +72,13 @@ def wiggling(sensor: Sensor) -> Wiggling:
     for _ in range(NEWTON):  # the true phases whose measured ones lie evenly
         true = true + (phase - true - error) / density
         error, density = _error(sensor, true)
-    return Wiggling(phase, error - mean[:, None], 2 * c[:, 1:].real, -2 * c[:, 1:].imag, mean)
+    return Wiggling(
+        np.asarray(phase, np.float64),
+        error - mean[:, None],
+        2 * c[:, 1:].real,
+        -2 * c[:, 1:].imag,
+        mean,
+    )
 
 
 def ripple(sensor: Sensor) -> F64:
