@@ -38,7 +38,7 @@ def measured(section, args):
         import calibration_speed
 
         found = calibration_speed.measured()
-    return {**found, "took_s": time.perf_counter() - start, "machine": machine()}
+    return {**found, "took_s": time.perf_counter() - start, "machine": machine(2)}
 
 
 def table(head, rows):
