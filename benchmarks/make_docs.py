@@ -17,6 +17,7 @@ from toftools.bench.table import groups, summarise, unsuited
 from toftools.registry import (
     CALIBRATIONS,
     CORRECTIONS,
+    FACTORY,
     FILTERS,
     METRICS,
     READERS,
@@ -79,6 +80,9 @@ def methods_md():
         "## Calibrations\n\nA calibration fits a stage to captures; a stage corrects phasors, taps "
         "or optics ([docs/calibration](calibration/index.md)).",
         *method_sections(CALIBRATIONS),
+        "### Factory tables\n",
+        "\n".join(rows([(f"`factory:{n}`", dials(s.load()), first_sentence(module_of(s)))
+                        for n, s in FACTORY.items()], ("table", "parameters", "what"))),
         "## Simulators",
         *method_sections(SIMULATORS),
         "### Closed-form scenes\n",
