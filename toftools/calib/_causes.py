@@ -10,7 +10,10 @@ from toftools.types import F64
 
 CAUSES = ("offset", "temperature", "lens", "cyclic", "amplitude", "pattern", "unexplained")
 """From the one with the least freedom to that with the most."""
-NEARLY = 0.7
+NEARLY = 0.85
+"""A cause that explains this share of what the largest one does is enough."""
+LITTLE = 0.25
+"""Share of the excess below which the largest cause is none."""
 HARMONICS = 12
 BEND = 4
 """Degree of the polynomials that stand for wrong rays."""
@@ -107,8 +110,11 @@ def named_cause(parts: Mapping[str, float]) -> str:
     >>> named_cause({"offset": 9.0, "cyclic": 9.1, "pattern": 10.0, "unexplained": 0.5})
     'offset'
     """
-    most = max(parts.values())
-    return next(name for name in CAUSES if parts.get(name, 0.0) >= NEARLY * most)
+    causes = {name: part for name, part in parts.items() if name != "unexplained"}
+    most, rest = max(causes.values()), parts.get("unexplained", 0.0)
+    if most <= LITTLE * (most + rest):
+        return "unexplained"
+    return next(name for name in CAUSES if causes.get(name, -1.0) >= NEARLY * most)
 
 
 def _causes_of(errors: Sequence[Errors], f: int) -> dict[str, float]:
@@ -126,7 +132,7 @@ def _causes_of(errors: Sequence[Errors], f: int) -> dict[str, float]:
         "pattern": _pattern(centred, level),
         "lens": _lens(errors, centred, level),
         "cyclic": _explained(_waves(phase[known]), centred[known], level),
-        "temperature": _temperature(errors, centred, level),
+        "temperature": _temperature(errors, centred, level, offset),
         "amplitude": _amplitude(log_amplitude[known], centred[known], level),
     }
     found = {name: min(part, excess) for name, part in parts.items()}
@@ -169,8 +175,11 @@ def _explained(basis: F64, centred: F64, level: float) -> float:
     return max(part, 0.0)
 
 
-def _temperature(errors: Sequence[Errors], centred: F64, level: float) -> float:
-    """Course of the captures' means with their temperatures, straight lines."""
+def _temperature(errors: Sequence[Errors], centred: F64, level: float, offset: float) -> float:
+    """Course of the captures' means with their temperatures, straight lines.
+
+    The offset counts with it: the check is usually colder or warmer than the walls were.
+    """
     columns = []
     for name in ("sensor_c", "light_c"):
         values = np.array([getattr(one, name) for one in errors])
@@ -181,7 +190,8 @@ def _temperature(errors: Sequence[Errors], centred: F64, level: float) -> float:
     means = np.array([np.nanmean(row) for row in centred])
     basis = np.stack([np.ones(len(errors)), *columns], axis=1)
     pixels = float(np.mean(np.isfinite(centred).sum(axis=1)))
-    return _explained(basis, means, level / pixels)
+    part = _explained(basis, means, level / pixels)
+    return part + offset**2 if part else 0.0
 
 
 def _amplitude(log_amplitude: F64, centred: F64, level: float) -> float:
