@@ -11,9 +11,9 @@ constants of the pixels eliminated by centring (R. Frisch, F. Waugh, "Partial ti
 compared with individual trends",
 Econometrica 1 (1933) 387-401), phases taken where they would be without noise, sizes of all models
 kept. Standard deviations come from leaving out one capture after another, since errors within one
-may hang together. Common phase and fixed pattern are then fitted again, on walls without
-the other three. It needs captures that tell the terms apart; what they leave open stays as the
-first fit had it.
+may hang together; 1.96 of them are the 95 % interval, Student's factor included. Common phase and
+fixed pattern are then fitted again, on walls without the other three. It needs captures that tell
+the terms apart; what they leave open stays as the first fit had it.
 """
 
 import logging
@@ -179,7 +179,22 @@ def _covariance(design: F64, rest: F64, weight: F64) -> F64:
     ]
     steps = np.stack(moved)
     clusters = max(2, int((weight > 0).any(axis=1).sum()))
-    return np.asarray(steps.T @ steps * ((clusters - 1) / clusters))
+    wide = _student(steps)
+    return np.asarray(np.outer(wide, wide) * (steps.T @ steps) * ((clusters - 1) / clusters))
+
+
+def _student(steps: F64) -> F64:
+    """95 % points of Student's distribution relative to the normal one, (K,).
+
+    Degrees of freedom after F. Satterthwaite (Biometrics Bulletin 2 (1946) 110-114): a sum of
+    squares of normal numbers of unequal size has ``(sum v)^2 / sum v^2``, and the fourth powers
+    of such numbers are ``3 v^2`` on average.
+    """
+    from scipy.stats import t
+
+    square, fourth = (steps**2).sum(axis=0), (steps**4).sum(axis=0)
+    freedom = 3 * square**2 / np.maximum(fourth, np.finfo(np.float64).tiny)
+    return np.asarray(t.ppf(0.975, np.maximum(freedom, 2.0)) / 1.96)
 
 
 def _with_patterns(chain: Chain, captures: Sequence[Capture]) -> Chain:
