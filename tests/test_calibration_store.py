@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from toftools.calib.chain import Chain, applied, chain_for, extended
+from toftools.calib.common_phase import CommonPhase
+from toftools.calib.fixed_pattern import FixedPattern
 from toftools.calib.stage import SLOTS, Residual, Stage
 from toftools.calib.store import load_chain, save_chain
 from toftools.conditions import Conditions, with_conditions
@@ -143,6 +145,87 @@ def test_hostile_files_are_refused_in_a_sentence(tmp_path, name):
     with pytest.raises(ValueError, match=expected) as caught:
         load_chain(path, trusted=OWN)
     assert "cal.json" in str(caught.value)
+
+
+WRONG = {
+    "residual": lambda d: d["stages"][0]["residual"].update(before="evil"),
+    "notes": lambda d: d["stages"][0]["residual"].update(notes=5),
+    "width": lambda d: d["sensor"].update(width=-64),
+    "freqs": lambda d: d["sensor"].update(freqs_hz=[float("nan"), 1e7]),
+    "size": lambda d: d["sensor"].update(width=21),
+    "arrays": lambda d: d.pop("arrays"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_edited_files_name_themselves(tmp_path, name):
+    path = tmp_path / "cal.json"
+    stage = FixedPattern(np.zeros((2, 12, 20)) + 0.1, np.ones((2, 12, 20)) * 1e-3)
+    save_chain(path, extended(chain_for(DEVICE), stage))
+    load_chain(path)
+    edited(path, WRONG[name])
+    with pytest.raises(ValueError, match=r"cal\.json is not a readable calibration"):
+        load_chain(path)
+
+
+def test_a_number_too_long_for_python(tmp_path):
+    path = tmp_path / "cal.json"
+    path.write_text('{"format": ' + "9" * 5000 + "}")
+    with pytest.raises(ValueError, match=r"cal\.json is no calibration"):
+        load_chain(path)
+
+
+def test_stages_of_other_frequencies_are_refused(tmp_path):
+    path, other = tmp_path / "cal.json", sensor("kinect2_nominal:width=20,height=12")
+    save_chain(path, extended(chain_for(other), CommonPhase([0.1] * 3, [1e-3] * 3, [25.0] * 2)))
+    edited(path, lambda d: d["sensor"].update(freqs_hz=[40e6, 70e6]))
+    with pytest.raises(ValueError, match="common_phase"):
+        load_chain(path)
+
+
+def test_a_backup_beside_it_stays_readable(tmp_path):
+    path, backup = tmp_path / "cal.json", tmp_path / "cal_before.json"
+    save_chain(path, extended(chain_for(DEVICE), turn()))
+    backup.write_bytes(path.read_bytes())
+    save_chain(path, extended(chain_for(DEVICE), turn(map_rad=np.zeros((2, 12, 20)))))
+    assert load_chain(backup, trusted=OWN).stages[0].map_rad.any()
+    assert not load_chain(path, trusted=OWN).stages[0].map_rad.any()
+
+
+def test_files_that_it_did_not_write_stay(tmp_path):
+    own = tmp_path / "cal.h5"
+    own.write_bytes(b"mine")
+    told = {"format": "toftools-calibration", "version": 1, "arrays": {"file": "cal.h5"}}
+    (tmp_path / "cal.json").write_text(json.dumps(told))
+    save_chain(tmp_path / "cal.json", extended(chain_for(DEVICE), turn()))
+    assert own.read_bytes() == b"mine"
+    (tmp_path / "notes.json").write_text('{"precious": 1}')
+    with pytest.raises(ValueError, match="no calibration"):
+        save_chain(tmp_path / "notes.json", extended(chain_for(DEVICE), turn()))
+    assert json.loads((tmp_path / "notes.json").read_text()) == {"precious": 1}
+
+
+def test_links_are_followed_by_both_files(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "cal.json").symlink_to(tmp_path / "real" / "cal_1.json")
+    link = tmp_path / "link.json"
+    link.symlink_to(tmp_path / "real" / "cal_1.json")
+    save_chain(link, extended(chain_for(DEVICE), turn()))
+    load_chain(tmp_path / "real" / "cal_1.json", trusted=OWN)
+
+
+def test_what_json_cannot_hold_leaves_nothing(tmp_path):
+    bad = replace(extended(chain_for(DEVICE), turn()), notes={"x": float("nan")})
+    with pytest.raises(ValueError, match="nothing was written"):
+        save_chain(tmp_path / "cal.json", bad)
+    assert not list(tmp_path.iterdir())
+
+
+def test_whole_numbers_stay_whole(tmp_path):
+    chain = extended(chain_for(DEVICE), turn(limit=np.int64(33)))
+    save_chain(tmp_path / "cal.json", chain)
+    assert load_chain(tmp_path / "cal.json", trusted=OWN).stages[0].limit == 33
+    assert isinstance(load_chain(tmp_path / "cal.json", trusted=OWN).stages[0].limit, int)
 
 
 def test_own_classes_need_trust(tmp_path):

@@ -161,6 +161,18 @@ def test_outlier_captures_do_not_count(chain, refined, captures):
     assert np.abs(curve.error_rad(phase) - other.error_rad(phase)).max() < 2e-3
 
 
+def test_a_pixel_that_is_no_number_does_no_harm(chain, captures):
+    def broken(capture):
+        values = np.array(capture.phasors.values)
+        values[:, 5, 5] = np.nan
+        return replace(capture, phasors=replace(capture.phasors, values=values), taps=None)
+
+    again = refine(chain, [broken(c) for c in unchecked(captures)])
+    assert np.isfinite(again.stage("wiggling").cos_rad).all()
+    assert np.isfinite(again.stage("amplitude").knot_rad).all()
+    assert np.isfinite(again.stage("fixed_pattern").map_rad[:, 5, 5]).sum() == 0
+
+
 def test_too_little_to_refine(chain, captures):
     assert refine(chain, unchecked(captures)[:3]) is chain
     empty = chain_for(captures[0].sensor)

@@ -122,6 +122,8 @@ def _line(
     if sigma is not None:
         noise = sigma[grid].reshape(n, -1).astype(np.float64)
         weight = np.where(good & np.isfinite(noise), 1 / np.maximum(noise, 1e-7) ** 2, 0.0)
+    # A pixel that is not a number has no weight, and must not spoil sums by its value.
+    values, later = (np.where(good, z, 1) for z in (values, later))
     phase, corrected = (np.asarray(np.angle(z), dtype=np.float64) for z in (values, later))
     level = np.asarray(np.abs(later), dtype=np.float64)
     return phase, corrected, level, np.where(good, error, 0.0), weight

@@ -18,6 +18,9 @@ from toftools.calib.stage import SLOTS, Stage
 from toftools.conditions import name_of
 from toftools.phasor import demodulate, phasors_of
 from toftools.types import F64, Capture, Sensor
+from toftools.units import check_freqs
+
+MOST_PX = 65_536
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,10 @@ class Chain:
             got = ", ".join(stage.slot for stage in self.stages)
             msg = f"stages must come once each in the order {', '.join(SLOTS)}; got {got}"
             raise ValueError(msg)
-        freqs = frozen(self.freqs_hz, np.float64, "freqs_hz", 1)
+        freqs = frozen(check_freqs(self.freqs_hz), np.float64, "freqs_hz", 1)
+        if not (0 < self.width <= MOST_PX and 0 < self.height <= MOST_PX):
+            msg = f"a camera has 1..{MOST_PX} px a side, got {self.width} x {self.height}"
+            raise ValueError(msg)
         set_fields(
             self,
             freqs_hz=freqs,

@@ -215,7 +215,7 @@ def _bare(chain: Chain, slot: str, capture: Capture) -> Capture:
     done = applied(chain.before(slot), capture)
     seen = phasors_of(applied(chain.before("amplitude"), capture))
     later = phasors_of(applied(chain, capture))
-    turn = later.values * np.conj(seen.values)
+    turn = np.where(later.valid & seen.valid, later.values * np.conj(seen.values), 1)
     unit = turn / np.maximum(np.abs(turn), np.finfo(np.float32).tiny)
     phasors = phasors_of(done)
     return replace(

@@ -8,6 +8,7 @@ it have corrected already.
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import ClassVar, Protocol, runtime_checkable
 
 from toftools.types import F64, Phasors
@@ -52,6 +53,16 @@ class Residual:
     noise: float = math.nan
     n: int = 0
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        figures = (self.before, self.after, self.held_out, self.noise, self.n)
+        real = all(isinstance(x, Real) and not isinstance(x, bool) for x in figures)
+        words = isinstance(self.notes, tuple) and all(isinstance(x, str) for x in self.notes)
+        if not (real and words and isinstance(self.unit, str)):
+            msg = (
+                f"a residual holds a unit, five numbers and sentences, got {self.unit!r}, {figures}"
+            )
+            raise ValueError(msg)
 
 
 @runtime_checkable
