@@ -14,6 +14,7 @@ from toftools.calib.fused import at_temperatures, fused
 from toftools.calib.stage import Residual
 from toftools.calib.temperature import Temperature
 from toftools.calib.wiggling import Wiggling
+from toftools.calib.wiggling_lut import WigglingLut
 from toftools.sensors import sensor
 from toftools.types import Phasors
 
@@ -123,6 +124,17 @@ def test_real_stages_too():
     slow, fast = one_by_one(chain, measured), fused(chain)(measured)
     assert np.abs(np.angle(fast.values * slow.values.conj()))[:, slow.valid].max() < 1e-4
     np.testing.assert_allclose(fast.sigma, slow.sigma, rtol=2e-4)
+
+
+def test_sigma_of_a_table_jumps_where_its_slope_does():
+    knots = np.random.default_rng(3).normal(size=(3, 16)) * 0.02
+    freqs, covered = np.asarray(DEVICE.modulation.freqs_hz), np.ones((3, 64), bool)
+    lut = WigglingLut(freqs, knots, np.full((3, 16), 1e-4), (16,) * 3, 30, covered, Residual())
+    measured = phasors()
+    slow, fast = lut(measured), fused(chain_of(lut))(measured)
+    off = np.abs(fast.sigma / slow.sigma - 1)
+    assert (off > 1e-4).mean() < 16 * 2 / 2048 * 2
+    assert off[:, slow.valid].max() < 0.4
 
 
 def test_temperatures():
