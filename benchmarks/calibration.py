@@ -77,7 +77,7 @@ def ablation_md(found):
         table(("stage", "unit", "before", "after", "held out", "noise"), residuals),
         "![cyclic error before and after](cyclic.png)",
         "![range error of the check set over distance](distance.png)",
-        "![error maps of one frame of the check set](maps.png)",
+        "![error maps of one frame of the check set](maps.webp)",
         f"One such fit takes {whole['cpu_s']:.0f} s of CPU time.",
     ])  # fmt: skip
 

@@ -4,6 +4,7 @@ Captures of the calibration are averages, as everybody takes them; the check set
 as the camera will be used. Each stage is left out once: the others are fitted without it.
 """
 
+import io
 import time
 from dataclasses import asdict
 from functools import cache
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from calibration_workers import workers
+from PIL import Image
 
 from toftools.calib.chain import chain_for
 from toftools.calib.fit import fit_plan
@@ -89,7 +91,8 @@ def draw(folder, chain, fit, check, found):
         for name, used in (("before", chain_for(fit[0].sensor)), ("after", chain))
         for freq, layer in zip(freqs, error_maps_mm(used, middle), strict=True)
     ]
-    (folder / "maps.png").write_bytes(maps_png(maps, columns=2, width_px=800))
+    picture = Image.open(io.BytesIO(maps_png(maps, columns=2, width_px=800))).convert("RGB")
+    picture.save(folder / "maps.webp", "WEBP", quality=88, method=4)
 
 
 def run(folder, seeds=1):
