@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from toftools.calib.store import load_chain
 from toftools.cli import main
 from toftools.conditions import Conditions
 from toftools.io.conditions import write_conditions
@@ -180,6 +181,67 @@ def test_a_table_elsewhere_and_a_calibration_to_start_from(capsys, folder, tmp_p
                            "--skip", "fixed_pattern")  # fmt: skip
     assert code == 0, err
     assert "  common_phase   stays as it was" in said
+
+
+def test_a_new_warm_up_leaves_other_stages_as_they_were(capsys, tmp_path):
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    whole, later = tmp_path / "whole", tmp_path / "later"
+    whole.mkdir(), later.mkdir()
+    rig(whole)
+    code, _, err = call(capsys, "calibrate", "all", whole, "--out", first)
+    assert code == 0, err
+    rig(later)
+    table = (later / "conditions.csv").read_text().splitlines()
+    kept = [table[0], *(line for line in table if "warmup" in line or "check" in line)]
+    (later / "conditions.csv").write_text("\n".join(kept) + "\n")
+    for other in [*later.glob("rail*.h5"), *later.glob("wall*.h5")]:
+        other.unlink()
+    code, said, err = call(capsys, "calibrate", "all", later, "--from", first, "--out", second)
+    assert code == 0, err
+    assert "  wiggling       stays as it was" in said
+    old, new = load_chain(first), load_chain(second)
+    for slot in ("wiggling", "common_phase", "fixed_pattern"):
+        before, after = old.stage(slot), new.stage(slot)
+        grid = np.ones((2, *SHAPE[1:]))
+        np.testing.assert_array_equal(before.error_rad(grid, grid), after.error_rad(grid, grid))
+
+
+def test_stages_in_the_wrong_order_are_no_success(capsys, tmp_path):
+    rig(tmp_path)
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    code, _, err = call(capsys, "calibrate", "all", tmp_path, "--out", first)
+    assert code == 0, err
+    code, _, err = call(capsys, "calibrate", "all", tmp_path, "--from", first, "--out", second)
+    assert code == 2
+    assert "fitted without it" in err
+    assert not second.exists()
+
+
+@pytest.mark.parametrize("entry", ["wiggling:harmonic=3", "wiggling:harmonics=999"])
+def test_a_mistyped_stage_is_not_left_out_quietly(capsys, tmp_path, entry):
+    rig(tmp_path)
+    out = tmp_path / "c.json"
+    code, _, err = call(capsys, "calibrate", "all", tmp_path, "--stage", entry, "--out", out)
+    assert code == 2
+    assert "harmonic" in err
+    assert not out.exists()
+
+
+def test_a_check_without_temperature_is_told_first(capsys, tmp_path):
+    rig(tmp_path)
+    table = (tmp_path / "conditions.csv").read_text()
+    header, *lines = table.splitlines()
+    columns = header.split(",")
+    cold = []
+    for line in lines:
+        cells = dict(zip(columns, line.split(","), strict=True))
+        if cells["kind"] == "check":
+            cells |= {"sensor_c": "", "light_c": ""}
+        cold.append(",".join(cells[name] for name in columns))
+    (tmp_path / "conditions.csv").write_text("\n".join([header, *cold]) + "\n")
+    code, _, err = call(capsys, "calibrate", "all", tmp_path, "--out", tmp_path / "c.json")
+    assert code == 2
+    assert "conditions.csv" in err and "temperature" in err
 
 
 def test_options_stand_in_for_the_table(capsys, tmp_path):

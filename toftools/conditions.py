@@ -18,6 +18,8 @@ from toftools.camera import rays
 from toftools.types import Capture
 from toftools.units import time_to_path
 
+MOST_M, MOST_DELAY_S = 100.0, 1e-6
+"""No bench is longer, and no delay line; larger numbers are in other units."""
 KINDS: Mapping[str, str] = {
     "board": "a chessboard or ChArUco board, for the lens",
     "dark": "no light at all, for the response",
@@ -85,6 +87,12 @@ class Conditions:
             msg = (
                 "distance_m must be positive metres and delay_s finite seconds, "
                 f"got {self.distance_m} and {self.delay_s}"
+            )
+            raise ValueError(msg)
+        if self.distance_m > MOST_M or abs(self.delay_s) > MOST_DELAY_S:
+            msg = (
+                f"distance_m is in metres and delay_s in seconds, at most {MOST_M:g} and "
+                f"{MOST_DELAY_S:g}; got {self.distance_m:g} and {self.delay_s:g}: check the units"
             )
             raise ValueError(msg)
         for name in ("sensor_c", "light_c"):

@@ -185,7 +185,7 @@ def _temperature(errors: Sequence[Errors], centred: F64, level: float, offset: f
         values = np.array([getattr(one, name) for one in errors])
         if np.isfinite(values).all() and np.ptp(values) >= LEAST_SPAN_K:
             columns.append(values - values.mean())
-    if not columns or len(errors) < len(columns) + 2:
+    if not columns or len(errors) < 3 * len(columns):
         return 0.0
     means = np.array([np.nanmean(row) for row in centred])
     basis = np.stack([np.ones(len(errors)), *columns], axis=1)

@@ -8,6 +8,7 @@ import numpy as np
 from toftools.calib._grams import (
     Columns,
     held_out,
+    held_out_mean,
     jackknife_sd,
     leftover,
     products,
@@ -104,8 +105,12 @@ def fitted(samples: Samples, family: Family, *, noisy_phase: bool) -> Fitted:
     """
     seen = covered(samples, BINS)
     kept, weight = robust_weights(samples, family.sized(family.sizes[-1]), seen)
-    size, unseen = _chosen(samples, family, seen, weight, kept)
+    size = _chosen(samples, family, seen, weight, kept)
     columns, still = family.sized(size), samples
+    # The largest model follows noise where captures are few, and calls the rest outliers.
+    kept, weight = robust_weights(samples, columns, seen)
+    pull = penalty(columns, seen, float(weight.sum()))
+    unseen = held_out_mean(products(samples, columns, weight, kept), pull)
     theta = _solved(samples, columns, seen, weight)
     after = leftover(samples, weight, _curve(columns, theta, samples.phase_rad))
     for _ in range(2 if noisy_phase and size else 0):
@@ -223,10 +228,8 @@ def _solved(samples: Samples, columns: Columns, seen: Bool, weight: F64) -> F64:
     return solved(total_only(samples, columns, weight), pull)
 
 
-def _chosen(
-    samples: Samples, family: Family, seen: Bool, weight: F64, kept: F64
-) -> tuple[int, float]:
-    """Size by the rule of one standard error, and the mean square error of what it did not see."""
+def _chosen(samples: Samples, family: Family, seen: Bool, weight: F64, kept: F64) -> int:
+    """Size by the rule of one standard error."""
     total, losses = float(weight.sum()), []
     big = products(samples, family.sized(family.sizes[-1]), weight, kept) if family.nested else None
     for size in family.sizes:
@@ -235,9 +238,7 @@ def _chosen(
         grams = big.cut(pull.shape[0]) if big else products(samples, columns, weight, kept)
         losses.append(held_out(grams, pull))
         shares = grams.weight
-    size = family.sizes[smallest(np.array(losses), shares)]
-    unseen = losses[family.sizes.index(size)].sum() / max(shares.sum(), 1e-300)
-    return size, float(unseen) if shares.size > 1 else float("nan")
+    return family.sizes[smallest(np.array(losses), shares)]
 
 
 def smallest(losses: F64, shares: F64) -> int:

@@ -212,6 +212,26 @@ def held_out(grams: Grams, pull: F64) -> F64:
     return np.array(errors)
 
 
+def held_out_mean(grams: Grams, pull: F64) -> float:
+    """Mean square error of all parts, each under a fit to the others.
+
+    Parameters
+    ----------
+    grams : Grams
+        Normal equations.
+    pull : ndarray, (K, K)
+        Penalty of the columns.
+
+    Returns
+    -------
+    float
+        rad^2; NaN where there is only one part.
+    """
+    if grams.weight.size < 2:
+        return float("nan")
+    return float(held_out(grams, pull).sum() / max(float(grams.weight.sum()), 1e-300))
+
+
 def jackknife_sd(grams: Grams, pull: F64) -> F64:
     """Standard deviation of the solution, from leaving out one part after another.
 

@@ -71,8 +71,8 @@ def range_notes(
     freqs_hz: F64 | None,
     names: Sequence[str],
 ) -> list[str]:
-    """Whether range and board disagree about the scale."""
-    if freqs_hz is None:
+    """Whether range and board disagree about the scale; wiggling hides it at one frequency."""
+    if freqs_hz is None or len(freqs_hz) < 2:
         return []
     view_by, seen_by = {v.name: v for v in views}, {s.name: s for s in seen}
     used = [view_by[name] for name in names], [seen_by[name] for name in names]

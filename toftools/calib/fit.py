@@ -15,12 +15,16 @@ from toftools.calib.plan import Plan, Step
 from toftools.calib.stage import Stage
 from toftools.conditions import conditions_of, name_of
 from toftools.phasor import phasors_of
-from toftools.registry import CALIBRATIONS, find
+from toftools.registry import CALIBRATIONS, checked_params, find, parameters_of
 from toftools.types import Capture
 
 LOG = logging.getLogger("toftools.calib")
 ANY_LIGHT = ("dark", "flat", "board")
 """Kinds whose frames may be black or saturated; their own fits judge them."""
+PHASE_SLOTS = ("wiggling", "common_phase", "fixed_pattern", "amplitude", "temperature")
+"""Stages that are refined together."""
+LEAST_SHARE = 0.05
+"""A frame with fewer valid pixels than this share is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +122,8 @@ def fit_plan(
     ValueError
         If a fit blames a capture by name. A fit that lacks data otherwise leaves its stage out.
     """
+    given = {stage.slot for stage in chain.stages}
+    _check_plan(plan, chain, params)
     outcomes = []
     for step in plan.steps:
         if step.reason:
@@ -127,7 +133,7 @@ def fit_plan(
             more = params.get(step.slot, {})
             stage = fit_stage(chain, step.slot, step.entry, step.captures, more)
         except ValueError as error:
-            if _blames(error, step.captures):
+            if _blames(error, step.captures) or step.entry != step.slot:
                 msg = f"{error} (or leave the stage out with --skip {step.slot})"
                 raise ValueError(msg) from error
             LOG.info("%s: left out: %s", step.slot, error)
@@ -135,9 +141,40 @@ def fit_plan(
             continue
         chain = extended(chain, stage)
         outcomes.append(Outcome(step, stage))
-    chain = refined(chain, [c for o in outcomes if o.stage for c in o.step.captures])
-    kept = tuple(Outcome(o.step, chain.stage(o.step.slot), o.reason) for o in outcomes)
+    # Stages that were there before were fitted on captures that are not here: they stay.
+    if not given & set(PHASE_SLOTS):
+        fitted = [c for o in outcomes if o.stage for c in o.step.captures]
+        chain = refined(chain, [*fitted, *plan.spare])
+    kept = tuple(Outcome(o.step, o.stage and chain.stage(o.step.slot), o.reason) for o in outcomes)
     return chain, kept
+
+
+def _check_plan(plan: Plan, chain: Chain, params: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse, before any fit, stages out of order, wrong parameters and unknown temperatures."""
+    for capture in plan.spare:
+        check_fits(chain, capture)
+        refuse_calibrated(capture)
+        check_frame(capture)
+    for step in plan.steps:
+        if step.reason:
+            continue
+        check_order(chain, step.slot)
+        spec = find(CALIBRATIONS, step.entry)
+        known = parameters_of(spec.load())
+        checked_params(step.entry, known, {**spec.params, **params.get(step.slot, {})})
+        cold = [c for c in plan.held_out if step.slot == "temperature" and not _warm(c)]
+        if cold:
+            msg = (
+                f"{name_of(cold[0])} is held out for the verdict and says no temperature, while a "
+                "warm-up is there; add sensor_c and light_c to its line in conditions.csv, or use "
+                "--skip temperature"
+            )
+            raise ValueError(msg)
+
+
+def _warm(capture: Capture) -> bool:
+    told = conditions_of(capture)
+    return bool(np.isfinite(told.sensor_c) or np.isfinite(told.light_c))
 
 
 def refined(chain: Chain, captures: Sequence[Capture]) -> Chain:
@@ -195,9 +232,11 @@ def check_frame(capture: Capture) -> None:
     if conditions_of(capture).kind in ANY_LIGHT:
         return
     phasors = phasors_of(capture)
-    if not phasors.valid.any():
+    share = float(phasors.valid.mean())
+    if share < LEAST_SHARE:
+        some = f"only {share:.1%} valid pixels" if share else "no valid pixel"
         msg = (
-            f"{name_of(capture)} has no valid pixel: saturated, or cut off by its reader; take it "
+            f"{name_of(capture)} has {some}: saturated, or cut off by its reader; take it "
             "again with a shorter exposure"
         )
         raise ValueError(msg)

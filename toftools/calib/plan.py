@@ -11,6 +11,8 @@ from toftools.types import Capture
 
 HOLD_EVERY = 5
 """Of so many positions of a rail one is held out where there is no capture for the check."""
+SPARE = ("rail", "delay")
+"""Kinds of which one is enough for the first fit of wiggling."""
 LEAST_RAIL = 10
 """Fewer positions than these are all needed for the fit."""
 
@@ -49,11 +51,14 @@ class Plan:
         Captures for the verdict, in no step.
     how : str
         How these were chosen, as a sentence.
+    spare : tuple of Capture
+        Captures of known planes that no step asks for; the refinement takes them too.
     """
 
     steps: tuple[Step, ...]
     held_out: tuple[Capture, ...]
     how: str
+    spare: tuple[Capture, ...] = ()
 
 
 def plan(
@@ -99,7 +104,9 @@ def plan(
             steps.append(Step(slot, entry, reason="left out by --skip"))
         else:
             steps.append(_step(slot, entry, rest))
-    return Plan(tuple(steps), held, how)
+    used = {id(capture) for step in steps for capture in step.captures}
+    spare = [c for c in rest if id(c) not in used and conditions_of(c).kind in SPARE]
+    return Plan(tuple(steps), held, how, tuple(spare))
 
 
 def _step(slot: str, entry: str, captures: Sequence[Capture]) -> Step:

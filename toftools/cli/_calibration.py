@@ -104,15 +104,12 @@ def reference(chain: Chain) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Field of the temperature stage to degrees Celsius.
+        ``sensor_c`` and ``light_c`` to degrees Celsius.
     """
-    stage = chain.stage("temperature")
-    fields = vars(stage) if stage is not None else {}
-    return {
-        key: float(value)
-        for key, value in fields.items()
-        if key.startswith("reference") and isinstance(value, int | float)
-    }
+    stage = chain.stage("temperature") or chain.stage("common_phase")
+    told = getattr(stage, "reference_c", ())
+    named = zip(("sensor_c", "light_c"), told, strict=False)
+    return {key: float(value) for key, value in named if math.isfinite(value)}
 
 
 def stage_lines(chain: Chain) -> list[str]:
@@ -196,6 +193,8 @@ def plan_lines(plan: Plan, chain: Chain) -> list[str]:
             continue
         name = "" if step.entry == step.slot else f" by {step.entry}"
         lines.append(f"  {step.slot:<15}{counted(step.captures)}{name}")
+    if plan.spare and not chain.stages:
+        lines.append(f"  {'refinement':<15}{counted(plan.spare)} as well")
     return [*lines, *wrapped(plan.how, f"  {'held out':<15}")]
 
 

@@ -166,7 +166,7 @@ def _say(
         return
     told = ", ".join(f"{n} {kind}" for kind, n in kinds.items())
     there = f"; {len(kept)} were there already" if kept else ""
-    click.echo(f"wrote {len(takes)} captures of {name} to {out}: {told}{there}")
+    click.echo(f"wrote {len(takes) - len(kept)} captures of {name} to {out}: {told}{there}")
     for line in _planted(truth):
         click.echo(f"  {line}")
     click.echo(f"board: {board}; answers: {out / TRUTH}, which no calibration reads")
