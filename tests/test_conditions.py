@@ -171,3 +171,22 @@ def test_recordings_elsewhere_than_the_table(folder, tmp_path_factory):
 
 def test_columns_are_the_fields_of_conditions():
     assert set(COLUMNS) == {"file", *vars(Conditions("wall"))}
+
+
+def test_other_units_are_hinted_at():
+    for wrong in ({"distance_m": 1500.0}, {"distance_m": 1.5, "delay_s": 12.5}):
+        with pytest.raises(ValueError, match="check the units"):
+            Conditions("wall", **wrong)
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["in the table", "not in it"])
+def test_a_file_that_was_cut_off_says_so(tmp_path, told):
+    capture = analytic(Scene("wall", {"range": 1.0}))(Shot(sensor("deeptof:width=8,height=6")))
+    write_capture(tmp_path / "a.h5", capture)
+    whole = (tmp_path / "a.h5").read_bytes()
+    (tmp_path / "b.h5").write_bytes(whole[: len(whole) // 2])
+    lines = ["file,kind,distance_m", "a.h5,wall,1.0", *(["b.h5,wall,1.0"] if told else [])]
+    (tmp_path / "conditions.csv").write_text("\n".join(lines) + "\n")
+    assert [path.name for path in labelled(tmp_path)] == ["a.h5", "b.h5"]
+    with pytest.raises(ValueError, match=r"b\.h5 is damaged or cut off"):
+        open_labelled(tmp_path / "b.h5", Conditions("wall", distance_m=1.0))

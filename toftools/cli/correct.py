@@ -143,6 +143,12 @@ def _calibrated(
     known = {**capture.provenance, "file": name, **({"conditions": conditions} if given else {})}
     capture = replace(capture, provenance=known)
     refuse_calibrated(capture)
+    if capture.sensor.name != chain.sensor:
+        click.echo(
+            f"warning: {name} is of the camera {capture.sensor.name!r}, {calib.name} of "
+            f"{chain.sensor!r}; use the calibration of the same unit",
+            err=True,
+        )
     return applied(chain, capture), [stage.slot for stage in chain.stages]
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+MAGIC = b"\x89HDF\r\n\x1a\n"
 _MARK = b"GCOL\x01"
 _OBJECT = struct.Struct("<HHIQ")
 
@@ -50,6 +51,29 @@ def opened(path: Path) -> Iterator[Any]:
             msg = "wanted HDF5 with 8-byte sizes"  # those that _check_heaps has looked for
             raise ValueError(msg)
         yield file
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether a file begins as HDF5 and cannot be opened as such.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Returns
+    -------
+    bool
+        True if it was damaged, or cut off while it was copied.
+    """
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            return False
+    try:
+        with opened(path):
+            return False
+    except (OSError, ValueError, RuntimeError):
+        return True
 
 
 def _check_heaps(content: mmap.mmap) -> None:

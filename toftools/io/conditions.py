@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from toftools.conditions import DEFAULTS, Conditions, conditions_of, with_conditions
+from toftools.io._hdf5 import is_cut_off
 from toftools.io._labels import file_name, number, rows
 from toftools.io.atomic import atomic_path
 from toftools.io.native import is_capture
@@ -183,7 +184,9 @@ def labelled(folder: Path | str) -> list[Path]:
     others = sorted(
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and path not in named and is_capture(path)
+        if path.suffix.lower() in SUFFIXES
+        and path not in named
+        and (is_capture(path) or is_cut_off(path))  # opening the latter says what it is
     )
     if not named and not others:
         msg = f"{folder} holds neither {NAME} nor capture files; put both there"

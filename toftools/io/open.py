@@ -7,6 +7,7 @@ claim the file; conventions are the reader's explicit parameters (``--format nam
 import importlib
 from pathlib import Path
 
+from toftools.io._hdf5 import is_cut_off
 from toftools.io.native import is_capture, read_capture
 from toftools.io.readers._file import existing_file
 from toftools.registry import READERS, Spec, find
@@ -45,6 +46,9 @@ def open_capture(path: Path | str, format: str | None = None) -> Capture:
         return capture
     if path.is_file() and is_capture(path):
         return read_capture(path)
+    if path.is_file() and is_cut_off(path):
+        msg = f"{path.name} is damaged or cut off: HDF5 cannot open it; copy it again"
+        raise ValueError(msg)
     return open_capture(path, detect(path))
 
 
