@@ -263,6 +263,13 @@ def test_few_positions_work_and_say_what_they_miss():
     assert any("same phase in all captures" in note for note in same.residual.notes)
 
 
+@pytest.mark.parametrize("count", [12, 16])
+def test_few_positions_invent_no_outliers(count):
+    stage = wiggling(bench(FOUR_TAPS, kind="delay", count=count))
+    assert not any("outliers" in note for note in stage.residual.notes)
+    assert max(stage.harmonics) <= count
+
+
 def test_captures_that_cannot_serve_are_refused_by_name():
     captures = bench(FOUR_TAPS, count=2)
     flat = [with_conditions(c, Conditions("flat")) for c in captures]

@@ -1,6 +1,5 @@
 """Fit of the phase error of one frequency: robust weights, choice of size, uncertainty."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from toftools.calib._grams import (
     solved,
     total_only,
 )
+from toftools.calib._grams import Family as Family
 from toftools.calib._wiggling_data import Samples, covered
 from toftools.types import F64, Bool
 from toftools.units import TWO_PI
@@ -27,29 +27,6 @@ FEW = 40_000
 """Measurements that tell outliers from the rest."""
 HUBER, CUT = 2.5, 6.0
 """Errors beyond HUBER deviations count linearly, beyond CUT not at all."""
-
-
-@dataclass(frozen=True, eq=False)
-class Family:
-    """Models of one kind in several sizes.
-
-    Parameters
-    ----------
-    columns : callable
-        ``columns(phase (N,), size) -> (N, K)``: functions of phase with zero mean over a turn.
-    sizes : tuple of int
-        Sizes to choose from, rising.
-    nested : bool
-        Whether the columns of a smaller model are the first of a larger one.
-    """
-
-    columns: Callable[[F64, int], F64]
-    sizes: tuple[int, ...]
-    nested: bool = False
-
-    def sized(self, size: int) -> Columns:
-        """The model of one size."""
-        return lambda phase: self.columns(phase, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +80,7 @@ def fitted(samples: Samples, family: Family, *, noisy_phase: bool) -> Fitted:
     Fitted
         Coefficients and figures.
     """
-    seen = covered(samples, BINS)
+    seen, family = covered(samples, BINS), _told(family, samples)
     kept, weight = robust_weights(samples, family.sized(family.sizes[-1]), seen)
     size = _chosen(samples, family, seen, weight, kept)
     columns, still = family.sized(size), samples
@@ -138,6 +115,14 @@ def fitted(samples: Samples, family: Family, *, noisy_phase: bool) -> Fitted:
         covered=seen,
         parts=grams.fit.shape[0],
     )
+
+
+def _told(family: Family, samples: Samples) -> Family:
+    """The sizes that positions can tell: a capture adds a cosine and a sine, pixels little."""
+    most = 2 * samples.phase_rad.shape[0] if samples.by_capture else np.inf
+    counts = [family.columns(np.zeros(1), size).shape[1] for size in family.sizes]
+    kept = [size for size, count in zip(family.sizes, counts, strict=True) if count <= most]
+    return replace(family, sizes=tuple(kept) or family.sizes[:1])
 
 
 def robust_weights(samples: Samples, columns: Columns, seen: Bool) -> tuple[F64, F64]:

@@ -19,6 +19,29 @@ Columns = Callable[[F64], F64]
 
 
 @dataclass(frozen=True, eq=False)
+class Family:
+    """Models of one kind in several sizes.
+
+    Parameters
+    ----------
+    columns : callable
+        ``columns(phase (N,), size) -> (N, K)``: functions of phase with zero mean over a turn.
+    sizes : tuple of int
+        Sizes to choose from, rising.
+    nested : bool
+        Whether the columns of a smaller model are the first of a larger one.
+    """
+
+    columns: Callable[[F64, int], F64]
+    sizes: tuple[int, ...]
+    nested: bool = False
+
+    def sized(self, size: int) -> Columns:
+        """The model of one size."""
+        return lambda phase: self.columns(phase, size)
+
+
+@dataclass(frozen=True, eq=False)
 class Grams:
     """Products of columns, of a constant where all pixels share it, and of the error (last).
 

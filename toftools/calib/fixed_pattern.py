@@ -8,6 +8,8 @@ which divides the phase. Walls are averaged with the weights of their noise, rob
 on. What no wall can tell: a tilt and a delay that grows across the sensor look alike in metres at
 one distance (see `tilt`), and a wall 1 mm off its stated distance bends the map like a bowl, by
 0.33 mm from the centre to the corner of a field of view of 82 degrees across the diagonal.
+Standard deviations take the lens as exact: of five virtual cameras of 64 x 48 px with a lens from
+six views, 25 to 84 % of the pixels lay in their 95 % interval, 87 to 92 % with the true lens.
 """
 
 from collections.abc import Sequence

@@ -148,6 +148,10 @@ def _whole(job: Job) -> dict[str, Any]:
         msg = "nothing to fit: no stage has the captures it needs, see the plan"
         raise ValueError(msg)
     _check_held_out(made)
+    present = [stage.slot for stage in chain.stages] + [step.slot for step in fitted]
+    missing = dict.fromkeys(missing_before(step.slot, present) for step in fitted)
+    for sentence in [one for one in missing if one][:1]:  # the others say the same of later stages
+        _warn(sentence)
     with progress(verbose=job.verbose, engines="toftools.calib"):
         chain, outcomes = fit_plan(made, chain, _params(job))
         judged = verdict(chain, made.held_out)
