@@ -131,7 +131,9 @@ def stage_lines(chain: Chain) -> list[str]:
     for stage in chain.stages:
         lines.append(f"  {stage.slot:<15}{residual_text(stage.residual)}")
         lines += [row for note in stage.residual.notes for row in wrapped(note)]
-    lines += [f"  {key:<15}{value:.1f} degrees Celsius" for key, value in reference(chain).items()]
+    told = [f"{key} {value:.1f}" for key, value in reference(chain).items()]
+    if told:
+        lines.append(f"  {'reference':<15}{', '.join(told)} degrees Celsius")
     return lines
 
 
