@@ -1,7 +1,5 @@
 """Fits stages one after another, each on captures that all stages before it have corrected."""
 
-import importlib
-import importlib.util
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +10,7 @@ import numpy as np
 
 from toftools.calib.chain import Chain, applied, check_fits, check_order, extended
 from toftools.calib.plan import Plan, Step
+from toftools.calib.refine import refine
 from toftools.calib.stage import Stage
 from toftools.conditions import conditions_of, name_of
 from toftools.phasor import phasors_of
@@ -144,7 +143,7 @@ def fit_plan(
     # Stages that were there before were fitted on captures that are not here: they stay.
     if not given & set(PHASE_SLOTS):
         fitted = [c for o in outcomes if o.stage for c in o.step.captures]
-        chain = refined(chain, [*fitted, *plan.spare])
+        chain = refine(chain, unique([*fitted, *plan.spare]))
     kept = tuple(Outcome(o.step, o.stage and chain.stage(o.step.slot), o.reason) for o in outcomes)
     return chain, kept
 
@@ -175,29 +174,6 @@ def _check_plan(plan: Plan, chain: Chain, params: Mapping[str, Mapping[str, Any]
 def _warm(capture: Capture) -> bool:
     told = conditions_of(capture)
     return bool(np.isfinite(told.sensor_c) or np.isfinite(told.light_c))
-
-
-def refined(chain: Chain, captures: Sequence[Capture]) -> Chain:
-    """The chain with its phase stages fitted once more, all together.
-
-    Parameters
-    ----------
-    chain : Chain
-        Stages fitted one after another.
-    captures : sequence of Capture
-        All captures that they were fitted from.
-
-    Returns
-    -------
-    Chain
-        Refined; the chain itself where there is nothing to refine.
-    """
-    name = "toftools.calib.refine"
-    if importlib.util.find_spec(name) is None or not chain.stages:
-        return chain
-    LOG.info("refining %s together", ", ".join(stage.slot for stage in chain.stages))
-    better: Chain = importlib.import_module(name).refine(chain, unique(captures))
-    return better
 
 
 def unique(captures: Sequence[Capture]) -> list[Capture]:
