@@ -65,12 +65,12 @@ def direct_light(task: Task, first: Jit, freqs_hz: F64) -> Light:
     for flash in task.flashes:
         value, far_m = flash_light(mi, stage, flash, first, valid, lit=flash.at_camera)
         if flash.modulated:
-            phasors += _turned(_numpy(value), range_m + _numpy(far_m), freqs_hz)
+            phasors += turned(_numpy(value), range_m + _numpy(far_m), freqs_hz)
         else:
             ambient += _numpy(value)
     if task.lamps:
         light = lamps_seen(mi, stage, first, mi.Bool(True))
-        phasors += _turned(_numpy(light.modulated), _numpy(light.far_m), freqs_hz)
+        phasors += turned(_numpy(light.modulated), _numpy(light.far_m), freqs_hz)
         ambient += _numpy(light.ambient)
     none = np.zeros_like(phasors)
     return Light(phasors, none, none, ambient)
@@ -257,7 +257,7 @@ def turn(mi: Any, cycles: float, path_m: Jit) -> tuple[Jit, ...]:  # noqa: ANN40
     return cosine, sine
 
 
-def _turned(value: F64, path_m: F64, freqs_hz: F64) -> C128:
+def turned(value: F64, path_m: F64, freqs_hz: F64) -> C128:
     return np.asarray([value * np.exp(1j * path_to_phase(path_m, f)) for f in freqs_hz])
 
 

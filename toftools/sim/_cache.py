@@ -1,0 +1,180 @@
+"""Indirect light of surfaces: a cache of places, solved for all bounces at once.
+
+Every place i of the cache sends rays into its hemisphere. What they hit has direct light, which is
+computed there, and indirect light, which is that of the nearest places of the cache. With the mean
+direct light ``e_i`` over the hemisphere and the look-ups as a sparse matrix S,
+
+    L = albedo (e + S L),
+
+the rendering equation (seed "Transient instant radiosity", 2019, eq. 1) at the frequencies of the
+modulation, S carrying the phase of the way. Iterated n - 1 times it holds n bounces. Errors of the
+rows are independent and average out when the light is gathered; rows add up to what they meet, so
+energy is kept to the noise of the rays. Nearest places are told by position and normal; the error
+of a look-up falls with the spacing of the cache, which is why it holds many places with few rays.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._hemisphere import Hits, hemisphere, joined
+from toftools.sim._phasors import C128
+from toftools.sim._task import Jit, Task
+from toftools.sim._tracer import lane_keys
+from toftools.sim._second import up_of
+from toftools.sim._virtual import Channels, albedo_of
+from toftools.types import F64
+from toftools.units import path_to_phase
+
+RAYS = 32
+"""Rays of each place."""
+NEAREST = 3
+STILL = 1e-6
+"""Relative change at which all bounces are done."""
+MOST = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Cache:
+    """Places with their indirect light.
+
+    Parameters
+    ----------
+    tree : scipy.spatial.cKDTree
+        Places and scaled normals.
+    scale : float
+        Length that a unit of difference of normals counts for, scene units.
+    later : ndarray, (C, K), complex128
+        Radiance by indirect light as it leaves a place of albedo 1.
+    albedo : ndarray, (K,)
+        Albedo of the places.
+    """
+
+    tree: Any
+    scale: float
+    later: C128
+    albedo: F64
+
+    @property
+    def light(self) -> C128:
+        """Radiance by indirect light as it leaves the places."""
+        return np.asarray(self.albedo * self.later)
+
+
+def solved(
+    task: Task, sets: list[Jit], spacing: float, channels: Channels, bounces: int | None, seed: int
+) -> Cache:
+    """Solve for the indirect light of places.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    sets : list of SurfaceInteraction3f
+        Diffuse places, one or more.
+    spacing : float
+        Typical distance between places, scene units.
+    channels : Channels
+        What is summed up.
+    bounces : int or None
+        Bounces that the light may have made when it leaves a place; None for all.
+    seed : int
+        Of the rays.
+
+    Returns
+    -------
+    Cache
+        Places in the order of `sets`.
+    """
+    import drjit as dr
+
+    mi, start, light, hits = task.mi, 0, [], []
+    for number, at in enumerate(sets):
+        lane = dr.arange(mi.UInt32, dr.width(at.t)) + start
+        arrived = hemisphere(task, at, lane_keys(mi, lane, seed + number), RAYS, channels)
+        arrived.hits.lane[:] += start
+        start += dr.width(at.t)
+        light.append(arrived.one_bounce + arrived.rest)
+        hits.append(arrived.hits)
+    tree, scale = _tree(sets, 2 * spacing)
+    albedo = np.concatenate([albedo_of(task, at) for at in sets])
+    once = np.concatenate(light, axis=1)
+    empty = Cache(tree, scale, np.zeros_like(once), albedo)
+    steps = MOST if bounces is None else bounces
+    if steps == 0:
+        return empty
+    matrices = lookups(empty, joined(hits), start, channels)
+    later = once
+    for _ in range(steps - 1):
+        new = once + applied(matrices, albedo * later)
+        change = np.abs(new - later).max(initial=0.0)
+        later = new
+        if change <= STILL * np.abs(new).max(initial=0.0):
+            break
+    return Cache(tree, scale, later, albedo)
+
+
+def _tree(sets: list[Jit], scale: float) -> tuple[Any, float]:
+    from scipy.spatial import cKDTree
+
+    rows = [
+        np.concatenate([np.asarray(at.p.numpy()), scale * np.asarray(up_of(at).numpy())])
+        for at in sets
+    ]
+    return cKDTree(np.concatenate(rows, axis=1).T), scale
+
+
+def lookups(cache: Cache, hits: Hits, lanes: int, channels: Channels) -> list[Any]:
+    """Where hits look for their light, as one sparse matrix per channel.
+
+    Parameters
+    ----------
+    cache : Cache
+        Places.
+    hits : Hits
+        What rays met.
+    lanes : int
+        Number W of points that the rays came from.
+    channels : Channels
+        Frequencies.
+
+    Returns
+    -------
+    list of scipy.sparse.csr_array, (W, K)
+        Weights with the phase of the way.
+    """
+    from scipy.sparse import csr_array
+
+    nearest = min(NEAREST, cache.tree.n)
+    query = np.concatenate([hits.p, cache.scale * hits.n]).T
+    far, place = cache.tree.query(query, k=range(1, nearest + 1), workers=-1)
+    share = 1 / (far**2 + (1e-3 * cache.scale) ** 2)
+    share *= (hits.weight / share.sum(axis=1))[:, None]
+    order = np.argsort(hits.lane, kind="stable")
+    begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * nearest
+    column, share, length_m = place[order].ravel(), share[order], hits.length_m[order]
+    made: dict[float, Any] = {}
+    for freq_hz in channels.freqs_hz:
+        phase = np.exp(1j * path_to_phase(length_m, float(freq_hz)))[:, None]
+        made[freq_hz] = csr_array(((share * phase).ravel(), column, begin),
+                                  shape=(lanes, cache.tree.n))  # fmt: skip
+    return [made[freq_hz] for freq_hz in channels.freqs_hz]
+
+
+def applied(matrices: list[Any], light: C128) -> C128:
+    """Light that look-ups bring.
+
+    Parameters
+    ----------
+    matrices : list of scipy.sparse.csr_array, (W, K)
+        Out of `lookups`.
+    light : ndarray, (C, K), complex128
+        Radiance of the places.
+
+    Returns
+    -------
+    ndarray, (C, W), complex128
+        Mean radiance over the hemisphere.
+    """
+    return np.stack([m @ row for m, row in zip(matrices, light, strict=True)])
