@@ -140,7 +140,7 @@ def flash_light(
     value *= dr.pi * flash.strength / dr.square(dist_m)
     if flash.beam is not None:
         axis = mi.Vector3f(*(float(x) for x in flash.axis))
-        value *= _beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
+        value *= beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
     seen = active & (value > 0)
     if not lit:
         value *= share_seen(mi, stage.scene, si, place, seen)
@@ -148,7 +148,7 @@ def flash_light(
     return dr.select(seen, value, 0.0), optical_m + flash.delay_m
 
 
-def _beam_at(mi: Any, beam: Jit, angle: Jit, active: Jit) -> Jit:  # noqa: ANN401
+def beam_at(mi: Any, beam: Jit, angle: Jit, active: Jit) -> Jit:  # noqa: ANN401
     """Linear interpolation in a beam table."""
     import drjit as dr
 

@@ -74,7 +74,7 @@ def histogram(
     >>> made.values.ravel().tolist(), made.missed.item(), made.info["beyond"]
     ([0.0, 0.0, 2.0, 0.0], 1.0, 1)
     """
-    _check_axis(shape, bin_m, n_bins, start_m)
+    check_axis(shape, bin_m, n_bins, start_m)
     pairs = ((one, 0.0) for one in passes)
     return _averaged(pairs, shape, bin_m, n_bins, start_m, "histogram")
 
@@ -118,7 +118,7 @@ def progressive(
     if not 0 < alpha <= 1:
         msg = f"alpha must lie above 0 and not above 1, got {alpha}"
         raise ValueError(msg)
-    _check_axis(shape, bin_m, n_bins, start_m)
+    check_axis(shape, bin_m, n_bins, start_m)
     rest = iter(passes)
     first = _checked(next(rest, None), shape)
     axis_m = n_bins * bin_m
@@ -164,7 +164,7 @@ def _averaged(
     )
 
 
-def _check_axis(shape: tuple[int, int], bin_m: float, n_bins: int, start_m: float) -> None:
+def check_axis(shape: tuple[int, int], bin_m: float, n_bins: int, start_m: float) -> None:
     """Refuse an axis without bins, or with more than anybody has room for."""
     if not (np.isfinite(bin_m) and bin_m > 0 and np.isfinite(start_m)):
         msg = f"bin_m must be positive and start_m finite metres, got {bin_m} and {start_m}"
@@ -256,7 +256,7 @@ def transient(
     axis: dict[str, Any] = {
         "shape": shot.sensor.camera.shape, "bin_m": bin_m, "n_bins": n_bins, "start_m": start_m
     }  # fmt: skip
-    _check_axis(**axis)
+    check_axis(**axis)
     paths = traced(scene, shot)
     first = next(paths.passes, None)
     if first is None:
