@@ -71,7 +71,7 @@ class Volume:
 
 
 def depositor(mi: Any, rows: Jit, order: Order, scale: float) -> Deposit:  # noqa: ANN401
-    """How a contribution of a kernel goes into its bin.
+    """How a contribution of a kernel goes into its bin, one per lane and step.
 
     Parameters
     ----------

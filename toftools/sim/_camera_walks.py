@@ -1,6 +1,6 @@
 """Paths from the camera that share the light with virtual lights.
 
-R paths per pixel walk from the first surface and connect with the sources at every further one, as
+R paths per pixel walk from the first surface and connect with a source at every further one, as
 in `_tracer`, but with Russian roulette; of light that virtual lights bring too they keep the share
 1 - w of `_walks`, which is where the two are near. That replaces the clamping of the seed
 "Transient instant radiosity" (2019).
@@ -49,7 +49,7 @@ def camera_walks(
     task: Task,
     first: Jit,
     pixel: Jit,
-    sources: tuple[Emission, ...],
+    source: Emission,
     counts: tuple[int, int, int],
     sums: Jit,
     deposit: Deposit,
@@ -64,8 +64,8 @@ def camera_walks(
         First surfaces; only the diffuse ones are walked from.
     pixel : UInt32
         Number of each lane's pixel, root of its random numbers.
-    sources : tuple of Emission
-        Sources with their light subpaths.
+    source : Emission
+        Source with its light subpaths.
     counts : tuple of int
         Most bounces, paths per pixel, and seed.
     sums : pytree
@@ -90,11 +90,10 @@ def camera_walks(
     def body(active: Jit, number: Jit, step: Jit, trail: Trail, sums: Jit) -> tuple[Jit, ...]:
         draw = Draw(mi, number, key, step)
         trail, alive = _stride(task, active, trail, draw)
-        for source in sources:
-            lit = alive & (trail.bounce <= limit)
-            value, far_m = flash_light(mi, task.stage, source.flash, trail.si, lit, ior=trail.ior)
-            value *= trail.throughput * _share(task, source, trail, lit, rays)
-            sums = deposit(sums, lane, number, trail.bounce, value, trail.length_m + far_m)
+        lit = alive & (trail.bounce <= limit)
+        value, far_m = flash_light(mi, task.stage, source.flash, trail.si, lit, ior=trail.ior)
+        value *= trail.throughput * _share(task, source, trail, lit, rays)
+        sums = deposit(sums, lane, number, trail.bounce, value, trail.length_m + far_m)
         alive &= (trail.bounce < limit) & (step < 2 * limit + MAX_PASSED)
         number = dr.select(alive, number, number + 1)
         trail = dr.select(alive, trail, start)

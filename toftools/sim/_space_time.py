@@ -127,8 +127,9 @@ def _fill(
         rivals = (order.bounces, RAYS, order.seed)
         share = depositor(mi, rows, order, 1 / RAYS)
         pixel = mi.UInt32(np.ascontiguousarray(pixels, np.uint32))
-        counts = camera_walks(task, first, pixel, made.sources, rivals, counts, share)
-        dr.eval(rows, counts)
+        for source in made.sources:
+            counts = camera_walks(task, first, pixel, source, rivals, counts, share)
+            dr.eval(rows, counts)
     found = rows.numpy().reshape(lanes, stride)
     volume.values[pixels] = found[:, 1:-1]
     volume.missed[pixels] = found[:, 0] + found[:, -1]
