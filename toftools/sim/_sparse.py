@@ -34,16 +34,18 @@ from toftools.sim._sparse_cells import (
     strangers,
 )
 from toftools.sim._sparse_rows import Ground, Ints, Sparse, Surface, ground_of, rows
-from toftools.types import F64
+from toftools.types import F64, Bool
 
 __all__ = ["Plan", "Surface", "place", "spread"]
 
 AUDIT = 1024
-"""Pixels of one audit."""
-AUDITS = 4
+"""Pixels of one audit: a third evenly, one where cells err, one where no cell serves."""
+AUDITS = 6
 """Audits at most."""
 SAFETY = 0.7
 """Share of the tolerance that cells may spend, since audits scatter."""
+HASTE = 0.25
+"""Smallest share of the budget that an audit leaves; what it hit is split in any case."""
 LEAST_SIDE = 4
 """Smaller images, px, are sampled whole."""
 SEED = 20180
@@ -120,7 +122,7 @@ def place(surface: Surface, evaluate: Evaluate, errors_m: Errors, tol_m: float) 
         picked, matrix, found_m, cells = _audited(ground, cells, picked, tools, rng)
         if found_m <= tol_m or audit == AUDITS - 1:
             break
-        budget *= (SAFETY * tol_m / found_m) ** 2
+        budget *= max(HASTE, (SAFETY * tol_m / found_m) ** 2)
     return _plan(ground, picked, matrix, found_m)
 
 
@@ -162,19 +164,35 @@ def _audited(
     open_ = np.flatnonzero(ground.valid & (picked.slot < 0))
     corners, weights = bilinear(cells, cells.home[open_], open_, ground.shape)
     matrix, served = rows(ground, open_, corners, weights, picked.slot)
-    among = np.flatnonzero(served)
-    edges = np.linspace(0, len(among), min(AUDIT, len(among)) + 1).astype(int)
-    tried = among[rng.integers(edges[:-1], edges[1:])] if len(among) else among
+    fitted = np.diff(matrix.indptr) > 4
+    tried, share = _drawn((cells.error_m[cells.home[open_]], fitted), served, rng)
     pixels = open_[tried]
     guess = (matrix[tried] @ picked.values.T).T
-    picked = added(picked, tools[0], np.append(pixels, open_[~served]))
+    picked = added(picked, tools[0], np.concatenate([pixels, open_[~served]]))
     wrong = tools[1](picked.values[:, picked.slot[pixels]] - guess, pixels)
-    found = float(np.mean(wrong**2)) * len(among) if len(among) else 0.0
+    found = float(np.sum(wrong**2 / share))
     worst = cells.error_m.copy()
     np.maximum.at(worst, cells.home[pixels], wrong)
     cells = replace(cells, error_m=worst)
     whole = _identity(picked) + _scattered(matrix, open_, picked)
     return picked, whole, float(np.sqrt(found / ground.valid.sum())), cells
+
+
+def _drawn(
+    suspicions: tuple[F64, Bool], served: Bool, rng: np.random.Generator
+) -> tuple[Ints, F64]:
+    """Pixels for an audit, a share evenly and one by each suspicion, and how many are expected."""
+    among = np.flatnonzero(served)
+    if not len(among):
+        return among, np.zeros(0)
+    count, odds = min(AUDIT, len(among)), np.full(len(among), 1.0 / len(among))
+    for suspicion in suspicions:
+        heavy = np.where(np.isfinite(suspicion), suspicion, 0.0)[among]
+        odds += heavy / heavy.sum() if heavy.any() else 1.0 / len(among)
+    odds /= odds.sum()
+    ticks = (np.arange(count) + rng.random(count)) / count
+    drawn = np.searchsorted(np.cumsum(odds), ticks).clip(max=len(among) - 1)
+    return among[drawn], count * odds[drawn]
 
 
 def _scattered(matrix: Sparse, pixels: Ints, picked: Picked) -> Sparse:

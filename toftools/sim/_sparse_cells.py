@@ -1,7 +1,7 @@
 """Cells of an image that halve where interpolation is too coarse, and what their middles tell."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,8 @@ STEPS = (64, 32, 16, 8, 4, 2)
 """Sizes of first cells, px."""
 SMOOTH = 0.25
 """Error after a split against before, where second derivatives exist."""
-GAIN = 0.125
-"""Share of a cell's squared error that is left after a split, as hoped for."""
+KEPT = 0.6
+"""Share of the budget for cells that stay as they are, when others must be split."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +146,8 @@ def chosen(ground: Ground, cells: Cells, slot: Ints, budget: float) -> Bool:
     known = able & ~unknown
     mass = np.where(known, area * np.where(known, cells.error_m, 0.0) ** 2, 0.0)
     order = np.argsort(-mass)
-    halved = np.concatenate([[0.0], np.cumsum(mass[order])])
-    rest = halved[-1] - halved
-    count = int(np.argmax((rest + GAIN * halved <= budget) | (rest <= 0.5 * budget)))
+    rest = mass.sum() - np.concatenate([[0.0], np.cumsum(mass[order])])
+    count = int(np.argmax(rest <= KEPT * budget)) if rest[0] > budget else 0
     choice = unknown.copy()
     choice[order[:count]] |= mass[order[:count]] > 0
     return choice
@@ -176,19 +175,18 @@ def split(
         As they are then.
     """
     parents = np.flatnonzero(choice)
-    chosen_cells = Cells(*(part[parents] for part in _columns(cells)), cells.home)
-    grid, new = nodes(chosen_cells, ground.shape)
+    grid, new = (part[parents] for part in nodes(cells, ground.shape))
     new &= ground.valid[grid]
-    targets, first = np.unique(grid[new], return_index=True)
-    owner = np.repeat(parents, new.sum(axis=(1, 2)))[first]
+    middles: Ints
+    middles, first = np.unique(grid[new], return_index=True)
+    owners = np.repeat(parents, new.sum(axis=(1, 2)))[first]
     made = _with_children(cells, choice, ground.shape)
-    guests = strangers(ground, made, _marked(picked.slot, targets), choice[cells.home])
-    targets, owner = np.append(targets, guests), np.append(owner, cells.home[guests])
+    guests = strangers(ground, made, _marked(picked.slot, middles), choice[cells.home])
+    targets: Ints = np.concatenate([middles, guests])
+    owner: Ints = np.concatenate([owners, cells.home[guests]])
     corners, weights = bilinear(cells, owner, targets, ground.shape)
     matrix, served = rows(ground, targets, corners, weights, picked.slot)
     before, picked = picked, added(picked, tools[0], targets)
-    if not len(before.pixels):
-        return made, picked
     wrong = picked.values[:, picked.slot[targets]] - (matrix @ before.values.T).T
     error = np.full(ground.valid.size, np.nan)
     error[targets[served]] = tools[1](wrong[:, served], targets[served])
@@ -196,11 +194,24 @@ def split(
     children = [at_nodes[:, i : i + 2, j : j + 2].reshape(-1, 4) for i in (0, 1) for j in (0, 1)]
     squares = np.stack(children, axis=1).reshape(-1, 4) ** 2
     base = len(made.y) - len(squares)
-    hosts, extra = made.home[guests] - base, np.nan_to_num(error[guests]) ** 2
+    hosts, extra = made.home[guests] - base, error[guests]
     count = np.isfinite(squares).sum(axis=1)
-    count = count + np.bincount(hosts[np.isfinite(error[guests])], minlength=len(squares))
-    total = np.nansum(squares, axis=1) + np.bincount(hosts, extra, minlength=len(squares))
-    return _expecting(made, base, np.sqrt(total / np.where(count > 0, count, np.nan))), picked
+    count = count + np.bincount(hosts, np.isfinite(extra), len(squares))
+    total = np.nansum(squares, axis=1) + np.bincount(hosts, np.nan_to_num(extra) ** 2, len(squares))
+    made = _expecting(made, base, np.sqrt(total / np.where(count > 0, count, np.nan)))
+    return _warned(made, middles, cells.step[owners], error[middles], ground.shape), picked
+
+
+def _warned(cells: Cells, pixels: Ints, step: Ints, error_m: F64, shape: tuple[int, int]) -> Cells:
+    """Cells that were not split, with the errors of nodes that lie on their edges too."""
+    row, column = pixels // shape[1], pixels % shape[1]
+    worst, known = cells.error_m.copy(), np.nan_to_num(error_m)
+    for up, left in ((0, 0), (0, 1), (1, 0)):
+        beside = np.maximum(row - up, 0) * shape[1] + np.maximum(column - left, 0)
+        cell = cells.home[beside]
+        own = cells.step[cell] >= step
+        np.maximum.at(worst, cell[own], known[own])
+    return replace(cells, error_m=worst)
 
 
 def _expecting(cells: Cells, base: int, seen_m: F64) -> Cells:
@@ -212,26 +223,28 @@ def _expecting(cells: Cells, base: int, seen_m: F64) -> Cells:
     expected = np.where(found, seen_m * np.clip(decay, SMOOTH, 1.0), expected)
     seen = np.concatenate([cells.seen_m[:base], np.where(found, seen_m, before)])
     error = np.concatenate([cells.error_m[:base], expected])
-    return Cells(cells.y, cells.x, cells.step, seen, error, cells.home)
+    return replace(cells, seen_m=seen, error_m=error)
 
 
 def _with_children(cells: Cells, choice: Bool, shape: tuple[int, int]) -> Cells:
     """Cells that are not split, then four children of each that is, row by row."""
-    parents, stay = np.flatnonzero(choice), ~choice
-    y, x, step, seen, error = (np.repeat(part[parents], 4) for part in _columns(cells))
-    half, child = step // 2, np.tile(np.arange(4), len(parents))
-    y, x = y + child // 2 * half, x + child % 2 * half
-    base = int(stay.sum())
-    number = np.where(stay, np.cumsum(stay) - 1, base + 4 * (np.cumsum(choice) - 1))
+    stay, child = np.flatnonzero(~choice), np.tile(np.arange(4), int(choice.sum()))
+    source = np.append(stay, np.repeat(np.flatnonzero(choice), 4))
+    child = np.append(np.zeros(len(stay), int), child)
+    half, halved = cells.step // 2, choice[source]
+    y = cells.y[source] + child // 2 * half[source]
+    x = cells.x[source] + child % 2 * half[source]
+    step = np.where(halved, half[source], cells.step[source])
+    number = np.where(
+        choice, len(stay) + 4 * (np.cumsum(choice) - 1), np.cumsum(~choice) - 1
+    )  # of a cell or its first child
     home = number[cells.home]
     moved = np.flatnonzero(choice[cells.home])
     cell = cells.home[moved]
-    half = cells.step[cell] // 2
-    low = moved // shape[1] - cells.y[cell] >= half
-    right = moved % shape[1] - cells.x[cell] >= half
+    low = moved // shape[1] - cells.y[cell] >= half[cell]
+    right = moved % shape[1] - cells.x[cell] >= half[cell]
     home[moved] += 2 * low + right
-    parts = zip(_columns(cells), (y, x, step // 2, seen, error), strict=True)
-    return Cells(*(np.concatenate([old[stay], new]) for old, new in parts), home)
+    return Cells(y, x, step, cells.seen_m[source], cells.error_m[source], home)
 
 
 def _thirds(cells: Cells, shape: tuple[int, int]) -> list[tuple[Ints, Ints]]:
@@ -239,10 +252,6 @@ def _thirds(cells: Cells, shape: tuple[int, int]) -> list[tuple[Ints, Ints]]:
     bottom, right = shape[0] - 1, shape[1] - 1
     steps = (0, cells.step // 2, cells.step)
     return [(np.minimum(cells.y + s, bottom), np.minimum(cells.x + s, right)) for s in steps]
-
-
-def _columns(cells: Cells) -> tuple[Ints, Ints, Ints, F64, F64]:
-    return cells.y, cells.x, cells.step, cells.seen_m, cells.error_m
 
 
 def _marked(slot: Ints, pixels: Ints) -> Ints:

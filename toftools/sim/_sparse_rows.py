@@ -177,14 +177,14 @@ def rows(
     fits = np.zeros(weights.size, bool)
     fits[used] = alike(ground, np.repeat(targets, 4)[used], corners.ravel()[used])
     fits[used] &= slot[corners.ravel()[used]] >= 0
-    whole = (fits.reshape(-1, 4) | (weights <= 0)).all(axis=1)
+    whole: Bool = np.all(fits.reshape(-1, 4) | (weights <= 0), axis=1)
     entries = np.flatnonzero(fits & np.repeat(whole, 4))
     lone = np.flatnonzero(~whole)
     row, sample, weight = _fitted(ground, targets[lone], slot)
     at = np.concatenate([entries // 4, lone[row]])
     of = np.concatenate([slot[corners.ravel()[entries]], sample])
     values = np.concatenate([weights.ravel()[entries], weight])
-    served = whole.copy()
+    served: Bool = np.array(whole)
     served[lone[row]] = True
     size = (len(targets), int(slot.max(initial=-1)) + 1)
     return coo_array((values, (at, of)), size).tocsr(), served
