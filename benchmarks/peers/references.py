@@ -22,22 +22,38 @@ def kept(view, folder, log):
     """Reference of a view, and its lit pixels away from depth edges; what is missing is made."""
     folder.mkdir(parents=True, exist_ok=True)
     width, height = view.size
-    name = f"{view.name}-{width}x{height}-{view.bounces}b-{view.samples}"
-    file = folder / f"{name.lower().replace(' ', '-')}.npz"
-    images, seconds, smooth = _read(file)
+    name = f"{view.name}-{width}x{height}-{view.bounces}b".lower().replace(" ", "-")
     render = None
-    if smooth is None:
-        smooth = smooth_pixels(view)
-    while len(images) < view.runs:
+
+    def image(number):
+        nonlocal render
         render = render or _render(view, preset(view.sensor()), view.bounces)
+        log(f"{view.name}, reference: run {number + 1} of {view.runs}")
+        return render(view.samples, FIRST_SEED + number)[0][0]
+
+    stack, seconds = images(folder / f"{name}-{view.samples}.npz", view.runs, image)
+    [smooth], _ = images(folder / f"{name}-smooth.npz", 1, lambda _: smooth_pixels(view))
+    found = measure.Reference(stack, view.samples * len(stack), seconds)
+    return found, smooth.astype(bool) & (np.abs(found.mean) > 0)
+
+
+def images(file, runs, image):
+    """The first `runs` images of a file, (runs, H, W), and the seconds that its images took.
+
+    Missing ones are made as ``image(number)`` and saved one by one.
+    """
+    found, seconds = [], 0.0
+    if file.is_file():
+        with np.load(file) as kept_before:
+            found, seconds = list(kept_before["images"]), float(kept_before["seconds"])
+    while len(found) < runs:
         begin = time.perf_counter()
-        images.append(render(view.samples, FIRST_SEED + len(images))[0][0])
+        found.append(image(len(found)))
         seconds += time.perf_counter() - begin
-        _write(file, images=np.stack(images), seconds=seconds, smooth=smooth)
-        log(f"{view.name}, reference: run {len(images)} of {view.runs}, {seconds:.0f} s so far")
-    stack = np.asarray(images, np.complex128)
-    found = measure.Reference(stack, view.samples * len(stack), float(seconds))
-    return found, smooth & (np.abs(found.mean) > 0)
+        part = file.with_suffix(".part.npz")
+        np.savez(part, images=np.stack(found), seconds=seconds)
+        part.replace(file)
+    return np.asarray(found[:runs], np.complex128), seconds
 
 
 def smooth_pixels(view):
@@ -54,16 +70,3 @@ def smooth_pixels(view):
 
 def _render(view, sensor, bounces):
     return ours.make(Scene(*parse_entry(view.scene)), sensor, max_bounces=bounces)
-
-
-def _read(file):
-    if not file.is_file():
-        return [], 0.0, None
-    with np.load(file) as found:
-        return list(found["images"]), float(found["seconds"]), found["smooth"]
-
-
-def _write(file, **arrays):
-    part = file.with_suffix(".part.npz")
-    np.savez(part, **arrays)
-    part.replace(file)
