@@ -10,6 +10,7 @@ both within a limit on memory; lights that do not fit are made anew for every ba
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -204,9 +205,12 @@ def add_paths(task: Task, views: F64, samples: int, volume: Volume, order: Order
     left = np.flatnonzero(volume.left)
     # Independent of the memory given, so that batches do not change the result.
     step = max(1, MOST_EVENTS // (samples * events_per_path(task, order.bounces)))
-    for number, start in enumerate(range(0, left.size, step)):
-        pixels = left[start : start + step]
-        first = first_hits(task, views[pixels])
-        seed = order.seed * 0x10001 + number
-        rest = indirect_samples(task, first, bounces=order.bounces, samples=samples, seed=seed)
-        add(volume, rest._replace(pixel=pixels[rest.pixel]), order)
+    # Source by source: a kernel that records can do so once per step.
+    for number, flash in enumerate(task.flashes):
+        lone = replace(task, flashes=(flash,))
+        for start in range(0, left.size, step):
+            pixels = left[start : start + step]
+            seed = (order.seed + 1) * 0x10001 + start + 0x3D4D51CB * number
+            first = first_hits(lone, views[pixels])
+            rest = indirect_samples(lone, first, bounces=order.bounces, samples=samples, seed=seed)
+            add(volume, rest._replace(pixel=pixels[rest.pixel]), order)
