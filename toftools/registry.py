@@ -175,6 +175,7 @@ def _statistics(distribution: str) -> dict[str, Spec]:
 
 SIMULATORS = _table(
     analytic=Spec("toftools.sim.analytic:analytic"),
+    radiosity=Spec("toftools.sim.radiosity:radiosity", grid={"antialias": (1, 4)}),
     path=Spec("toftools.sim.path:path", grid={"antialias": (1, 4)}),
 )
 CALIBRATIONS = _table(

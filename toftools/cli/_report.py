@@ -53,6 +53,9 @@ def _paths(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "samples" not in facts:
         return
     most, mean, error = facts["samples"], facts["samples_mean"], facts["standard_error_mm"]
+    yield from _virtual(facts)
+    if not most and "virtual_lights" in facts:
+        return
     if not most:
         yield "paths", "none, as direct light is computed without"
         return
@@ -62,6 +65,18 @@ def _paths(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "tolerance", f"{facts['tolerance_mm']:g} mm met in every tile"
     elif facts["tolerance_met"] is not None:
         yield "tolerance", missed(facts)
+
+
+def _virtual(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Virtual lights, where they were gathered, and what they reached."""
+    if "left_why" in facts:
+        yield "left to path", f"{facts['left_to_path']:.1%} of the pixels: {facts['left_why']}"
+    if "virtual_lights" not in facts:
+        return
+    lights, views, gathered = (facts[k] for k in ("virtual_lights", "viewpoints", "gathered"))
+    yield "lights", f"{lights} virtual ones from {views} viewpoints, gathered at {gathered} points"
+    scatter, between = _mm(facts["scatter_mm"]), _mm(facts["interpolation_mm"])
+    yield "error", f"{scatter} rms of range by scatter, {between} by interpolation"
 
 
 def missed(facts: Mapping[str, Any]) -> str:

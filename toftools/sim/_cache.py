@@ -20,16 +20,18 @@ import numpy as np
 
 from toftools.sim._hemisphere import Hits, hemisphere, joined
 from toftools.sim._phasors import C128
+from toftools.sim._second import up_of
 from toftools.sim._task import Jit, Task
 from toftools.sim._tracer import lane_keys
-from toftools.sim._second import up_of
 from toftools.sim._virtual import Channels, albedo_of
 from toftools.types import F64
 from toftools.units import path_to_phase
 
-RAYS = 32
+RAYS = 64
 """Rays of each place."""
-NEAREST = 3
+NEAREST = 2
+NEAR = 0.25
+"""Distance, in spacings of the cache, below which it knows nothing."""
 STILL = 1e-6
 """Relative change at which all bounces are done."""
 MOST = 2000
@@ -90,9 +92,11 @@ def solved(
     import drjit as dr
 
     mi, start, light, hits = task.mi, 0, [], []
+    near_m = 0.0 if bounces is not None else NEAR * spacing * task.stage.unit_m
     for number, at in enumerate(sets):
         lane = dr.arange(mi.UInt32, dr.width(at.t)) + start
-        arrived = hemisphere(task, at, lane_keys(mi, lane, seed + number), RAYS, channels)
+        keys = lane_keys(mi, lane, seed + number)
+        arrived = hemisphere(task, at, keys, RAYS, channels, near_m=near_m)
         arrived.hits.lane[:] += start
         start += dr.width(at.t)
         light.append(arrived.one_bounce + arrived.rest)

@@ -51,7 +51,11 @@ def gather(
     tables = _tables(task, lights, later)
     mine = (points.p, up_of(points), scatters_alike(mi, points))
     dr.eval(mine)
-    cycles, unit, each = cycles_per_m(channels.freqs_hz), task.stage.unit_m, dr.opaque(mi.Float, rays)
+    cycles, unit, each = (
+        cycles_per_m(channels.freqs_hz),
+        task.stage.unit_m,
+        dr.opaque(mi.Float, rays),
+    )
 
     def body(j: Jit, sums: Jit, ones: Jit) -> tuple[Jit, ...]:
         place, normal, area = (

@@ -10,7 +10,7 @@ virtual lights bright spots, are left to rays, and nothing is clamped: energy is
 1997, section 9.2.2; for virtual lights T. Kollig and A. Keller, "Illumination in the presence of
 weak singularities", 2004, recalled, which splits by a bound instead). What the rays hit is diffuse:
 its direct light is computed there, its indirect light is left to `_cache`. Surfaces that are not
-diffuse are followed, by their own scattering, until a diffuse one is met.
+diffuse, or too near for a cache, are followed by their own scattering until another one is met.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ from toftools.types import F64
 
 LONGEST = 32
 """Surfaces in a row that are not diffuse."""
-SURE = 0.1
+SURE = 0.3
 """Weight from which a hit is kept for sure; others stay by chance."""
 
 
@@ -73,11 +73,14 @@ class Arrived:
         Direct light of first hits, and of what was met by way of others.
     hits : Hits
         Places whose indirect light is still missing.
+    ones : ndarray, (W,)
+        What radiance 1 of all diffuse surfaces would give.
     """
 
     one_bounce: C128
     rest: C128
     hits: Hits
+    ones: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,8 @@ def hemisphere(
     rays: int,
     channels: Channels,
     against: Against | None = None,
+    near_m: float = 0.0,
+    sure: float = SURE,
 ) -> Arrived:
     """Send rays from diffuse points.
 
@@ -120,6 +125,10 @@ def hemisphere(
         What is summed up.
     against : Against or None
         Virtual lights to be weighted against; None leaves all to the rays.
+    near_m : float
+        Diffuse hits nearer than this are followed as well, m: a cache knows nothing so fine.
+    sure : float
+        Weight from which a hit is kept for sure; others stay by chance, with more weight.
 
     Returns
     -------
@@ -134,16 +143,19 @@ def hemisphere(
     for start in range(0, width, step):
         index = dr.arange(mi.UInt32, min(step, width - start)) + start
         some = dr.gather(mi.SurfaceInteraction3f, points, index)
-        part = _part(task, some, dr.gather(mi.UInt32, keys, index), rays, channels, against)
+        part = _part(
+            task, some, dr.gather(mi.UInt32, keys, index), rays, channels, against, (near_m, sure)
+        )
         part.hits.lane[:] += start
         parts.append(part)
     if not parts:
         blank = np.zeros((len(channels.freqs_hz), 0), np.complex128)
-        return Arrived(blank, blank, no_hits())
+        return Arrived(blank, blank, no_hits(), np.zeros(0))
     return Arrived(
         np.concatenate([part.one_bounce for part in parts], axis=1),
         np.concatenate([part.rest for part in parts], axis=1),
         joined([part.hits for part in parts]),
+        np.concatenate([part.ones for part in parts]),
     )
 
 
@@ -178,6 +190,7 @@ def _part(
     rays: int,
     channels: Channels,
     against: Against | None,
+    limits: tuple[float, float],
 ) -> Arrived:
     """Rays of as many points as fit at a time; lanes are point-major."""
     import drjit as dr
@@ -194,27 +207,27 @@ def _part(
     diffuse = active & scatters_alike(mi, nearby)
     facing = up_of(nearby)
     far_m = dr.select(nearby.is_valid(), nearby.t * stage.unit_m, 1.0)
-    share = mi.Float(1)
+    share = dr.select(diffuse, mi.Float(1), 0.0)
     if against is not None:
         x = dr.opaque(mi.Float, rays) * dr.dot(up, away) * -dr.dot(facing, away)
         x *= dr.inv_pi / dr.square(far_m)
         dense = density(task, against.views, against.total, nearby.p, facing, diffuse)
         share = dr.select(diffuse, x / (dense + x), 0.0)
-    one = _lit(task, nearby, diffuse, share, dr.select(diffuse, far_m, 0.0), channels)
-    start = (nearby, active & nearby.is_valid() & ~diffuse, mi.Float(1), far_m, mi.Float(1))
-    one_chain, rest, end, weight, length_m = _followed(task, start, (number, key), channels)
-    one = [tuple(a + b for a, b in zip(*two, strict=True)) for two in zip(one, one_chain, strict=True)]
-    straight = diffuse
-    weight = dr.select(straight, share, weight)
-    length_m = dr.select(straight, far_m, length_m)
-    stay = dr.minimum(weight / SURE, 1.0)
-    kept = (weight > 0) & (single(mi, number, hashed(mi, key + 7)) < stay)
-    weight = weight / stay / rays
-    end = dr.select(straight, nearby, end)
-    dr.eval(one, rest, kept, weight, length_m, end, straight)
-    hits = _hits(mi, dr.compress(kept), (index, end, weight, length_m, straight))
+    hit = active & nearby.is_valid()
+    weight = dr.select(diffuse, share, mi.Float(1))
+    one = _lit(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
+    stay = dr.minimum(weight / dr.opaque(mi.Float, max(limits[1], 1e-6)), 1.0)
+    hit &= single(mi, number, hashed(mi, key + 7)) < stay
+    weight = dr.select(hit, weight / stay, 0.0)
+    near = dr.opaque(mi.Float, limits[0])
+    straight = hit & diffuse & (far_m >= near)
+    begin = (nearby, hit & ~straight, weight, far_m, mi.Float(1))
+    rest, end, weight, length_m = _followed(task, begin, (number, key), near, channels)
+    dr.eval(one, rest, share, weight, length_m, end, straight)
+    hits = _hits(mi, dr.compress(weight > 0), (index, end, weight / rays, length_m, straight))
     total = [np.stack([_mean(part, rays) for part in light]) for light in (one, rest)]
-    return Arrived(total[0], total[1], hits)
+    ones = np.asarray(dr.block_sum(share, rays).numpy(), np.float64) / rays
+    return Arrived(total[0], total[1], hits, ones)
 
 
 def _mean(part: tuple[Jit, ...], rays: int) -> C128:
@@ -266,38 +279,41 @@ def _lit(
 
 
 def _followed(
-    task: Task, start: tuple[Jit, ...], draw: tuple[Jit, Jit], channels: Channels
-) -> tuple[Jit, Jit, Jit, Jit, Jit]:
-    """Rays on surfaces that are not diffuse, as these scatter them, to the first that is.
+    task: Task, begin: tuple[Jit, ...], draw: tuple[Jit, Jit], near: Jit, channels: Channels
+) -> tuple[Jit, Jit, Jit, Jit]:
+    """Rays scattered on to the first diffuse surface that is not near, and the light on the way.
 
-    Light of sources on the first such surface is the point's first bounce, that on all others is
-    later light; returned with the end, its weight (0 where there is none) and the way to it.
+    Returned are that light, the last surface, the weight of the ray there (0 if there is none) and
+    the way to it; lanes that do not start keep what they have.
     """
     import drjit as dr
 
     mi, (number, key) = task.mi, draw
-    at, active, weight, length_m, ior = start
-    one = _lit(task, at, active, weight, length_m, channels)
 
     def body(active: Jit, step: Jit, at: Jit, state: Jit, rest: Jit) -> tuple[Jit, ...]:
-        weight, length_m, ior, found = state
+        weight, length_m, ior = state
         seed = hashed(mi, key + hashed(mi, 4 * step + 0x1001))
         lobe, square = single(mi, number, seed), pair(mi, number, seed, mi.UInt32(1))
         sample, value = at.bsdf().sample(mi.BSDFContext(), at, lobe, square, active)
-        weight = dr.select(active, weight * value[0], weight)
         ior = dr.select(active, ior * sample.eta, ior)
-        nearby = next_hit(task, at, at.to_world(sample.wo), active & (weight > 0))
-        active = active & (weight > 0) & nearby.is_valid()
-        length_m = length_m + dr.select(active, ior * nearby.t * task.stage.unit_m, 0.0)
-        light = _lit(task, nearby, active, weight, length_m, channels, ior)
+        nearby = next_hit(task, at, at.to_world(sample.wo), active & (value[0] > 0))
+        hit = active & (value[0] > 0) & nearby.is_valid()
+        weight = dr.select(active, dr.select(hit, weight * value[0], 0.0), weight)
+        far_m = nearby.t * task.stage.unit_m
+        length_m = length_m + dr.select(hit, ior * far_m, 0.0)
+        light = _lit(task, nearby, hit, weight, length_m, channels, ior)
         rest = [(a + c, b + d) for (a, b), (c, d) in zip(rest, light, strict=True)]
-        at = dr.select(active, nearby, at)
-        ended = active & scatters_alike(mi, nearby)
-        return active & ~ended & (step < LONGEST), step + 1, at, (weight, length_m, ior, found | ended), rest
+        ended = hit & scatters_alike(mi, nearby) & (far_m >= near)
+        at = dr.select(hit, nearby, at)
+        return hit & ~ended & (step < LONGEST), step + 1, at, (weight, length_m, ior), rest
 
+    at, active, weight, length_m, ior = begin
     lanes = dr.width(at.t)
     zeros = [(dr.zeros(mi.Float, lanes), dr.zeros(mi.Float, lanes)) for _ in channels.modulated]
-    full = (weight + dr.zeros(mi.Float, lanes), length_m, ior + dr.zeros(mi.Float, lanes), mi.Bool(False) & active)
-    state = (active, dr.zeros(mi.UInt32, lanes), at, full, zeros)
-    _, _, end, (weight, length_m, _, found), rest = dr.while_loop(state, lambda active, *_: active, body)
-    return one, rest, end, dr.select(found, weight, 0.0), length_m
+    state = (weight, length_m, ior + dr.zeros(mi.Float, lanes))
+    start = (active, dr.zeros(mi.UInt32, lanes), at, state, zeros)
+    _, step, end, (weight, length_m, _), rest = dr.while_loop(
+        start, lambda active, *_: active, body
+    )
+    # Who was given up after the most surfaces brings nothing more.
+    return rest, end, dr.select(step > LONGEST, 0.0, weight), length_m

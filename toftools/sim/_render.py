@@ -6,18 +6,18 @@ the tolerance go into the next round, with as many paths as they have had.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from toftools.sim._image import Image, Order
 from toftools.sim._phasors import C128, Light
 from toftools.sim._reuse import shared_light, worth_sharing
 from toftools.sim._stop import range_errors_m
 from toftools.sim._task import Task, first_hits
 from toftools.sim._views import direct_of_pixels, in_parts, own_light, views
-from toftools.types import F64, Camera
+from toftools.types import F64
 
 log = logging.getLogger(__name__)
 
@@ -34,71 +34,7 @@ FAINT = 0.01
 """Pixels this much darker than the median do not count for a tile's error: they tell no range."""
 
 
-@dataclass(frozen=True, eq=False)
-class Image:
-    """Light of all pixels, and how well it is known.
-
-    Parameters
-    ----------
-    direct, one_bounce, rest : ndarray, (Q, H, W), complex128
-        Phasors in units of `Noise.signal_e`, by number of indirect bounces.
-    ambient : ndarray, (H, W)
-        Unmodulated radiance in the same unit.
-    samples : ndarray, (H, W)
-        Paths per pixel.
-    error_m : ndarray, (H, W)
-        Standard error of range, pooled over the tile, m; NaN where nothing told.
-    """
-
-    direct: C128
-    one_bounce: C128
-    rest: C128
-    ambient: F64
-    samples: F64
-    error_m: F64
-
-
-@dataclass(frozen=True, eq=False)
-class Order:
-    """What to render.
-
-    Parameters
-    ----------
-    camera : Camera
-        Optics.
-    side : int
-        Points along each side of a pixel.
-    freqs_hz : ndarray, (Q,)
-        All frequencies wanted, Hz.
-    used : ndarray, (F,), int
-        Which of them are modulation frequencies, whose phases give the range.
-    bounces : int
-        Indirect bounces.
-    samples : int or None
-        Paths per pixel; None goes on until `tol_m`.
-    tol_m : float
-        Standard error of range to reach, m.
-    ambient_bounces : int
-        Bounces of unmodulated light, whose charge does not depend on the tolerance of range.
-    max_samples : int
-        Paths per pixel at which even a noisy tile is left.
-    seed : int
-        Of all sequences.
-    """
-
-    camera: Camera
-    side: int
-    freqs_hz: F64
-    used: Any
-    bounces: int
-    ambient_bounces: int
-    samples: int | None
-    tol_m: float
-    max_samples: int
-    seed: int
-
-
-def render(task: Task, order: Order) -> Image:
+def render(task: Task, order: Order, only: Any = None) -> Image:  # noqa: ANN401 - bools
     """Direct light exactly and indirect light to a tolerance.
 
     Parameters
@@ -107,6 +43,8 @@ def render(task: Task, order: Order) -> Image:
         Scene and sources.
     order : Order
         What to render.
+    only : ndarray of bool, (H, W), or None
+        Pixels that are wanted; others stay dark.
 
     Returns
     -------
@@ -114,19 +52,22 @@ def render(task: Task, order: Order) -> Image:
         Light per pixel.
     """
     height, width = order.camera.shape
-    tiles, turn = _tiles(height, width)  # neighbours in the image become neighbours in the list
+    tiles, turn = tiles_of(height, width)  # neighbours in the image become neighbours in the list
+    if only is not None:
+        chosen = only.ravel()[turn]
+        tiles, turn = tiles[chosen], turn[chosen]
     direct = direct_of_pixels(task, order.camera, turn, order.side, order.freqs_hz)
-    sums = _Sums(len(order.freqs_hz), height * width)
+    sums = _Sums(len(order.freqs_hz), len(turn))
     if task.lamps and not task.stage.lamp_modulated.any():
         # Ambient light moves no phase: a few paths of its own, none among those that count.
-        sums.ambient_only = _ambient(task, order, turn)
+        sums.ambient_only = ambient_of_lamps(task, order, turn)
         task = task.without_lamps()
     if order.bounces > 0 or task.chance_direct:
         _rounds(task, order, turn, direct.direct, tiles, sums)
     known, count = sums.samples > 0, np.maximum(sums.samples, 1)
 
     def image(values: Any) -> Any:  # noqa: ANN401 - (..., N) to (..., H, W), any kind
-        back = np.empty_like(values)
+        back = np.zeros((*values.shape[:-1], height * width), values.dtype)
         back[..., turn] = values
         return back.reshape(*values.shape[:-1], height, width)
 
@@ -234,8 +175,23 @@ def _passes(
     return in_parts(order.camera, pixels, order.side, lights)
 
 
-def _ambient(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
-    """Light of unmodulated lamps by way of surfaces, from `AMBIENT_PATHS` paths a pixel."""
+def ambient_of_lamps(task: Task, order: Order, turn: Any) -> F64:  # noqa: ANN401
+    """Light of unmodulated lamps by way of surfaces, from `AMBIENT_PATHS` paths a pixel.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    order : Order
+        What to render.
+    turn : ndarray of int, (M,)
+        Pixels.
+
+    Returns
+    -------
+    ndarray, (M,)
+        Radiance.
+    """
     dark, inside = task.without_flashes(), order.side**2
     each = inside * max(1, AMBIENT_PATHS // inside)
     settings: dict[str, Any] = {
@@ -286,8 +242,19 @@ def _judge(
     sums.error_m[chosen] = np.sqrt(pooled / np.maximum(count, 1))[tiles[chosen]]
 
 
-def _tiles(height: int, width: int) -> tuple[Any, Any]:
-    """Tile of every pixel in the order of work, and that order: tiles, and small blocks in them."""
+def tiles_of(height: int, width: int) -> tuple[Any, Any]:
+    """Tile of every pixel in the order of work, and that order: tiles, and small blocks in them.
+
+    Parameters
+    ----------
+    height, width : int
+        Shape of the image.
+
+    Returns
+    -------
+    tuple of ndarray of int, (H * W,)
+        Number of the tile, and of the pixel.
+    """
     row, column = (axis.ravel() for axis in np.mgrid[0:height, 0:width])
     tile = row // TILE * (-(-width // TILE)) + column // TILE
     turn = np.lexsort((column, row, column // BLOCK[1], row // BLOCK[0], tile))

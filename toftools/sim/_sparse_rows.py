@@ -37,6 +37,8 @@ STIFF = 0.01
 """Pull of the local linear fit towards a constant, against the spread of its samples."""
 NORMAL_PX = 32.0
 """Distance in footprints that a unit of normal counts for, when neighbours are sought."""
+CHUNK = 8192
+"""Pairs of pixels compared at once, so that they stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +106,8 @@ def ground_of(surface: Surface) -> Ground:
     a, b = a[both], b[both]
     footprint = np.full(count, np.inf)
     apart = np.linalg.norm(position[a] - position[b], axis=1)
-    np.minimum.at(footprint, a, apart)
-    np.minimum.at(footprint, b, apart)
+    for end in (a, b):
+        np.minimum.at(footprint, end, apart)
     footprint[np.isinf(footprint)] = 0.0
     none = np.zeros(count, np.int64)
     bare = Ground(valid.shape, position, normal, flat, footprint, none, none)
@@ -134,6 +136,13 @@ def alike(ground: Ground, a: Ints, b: Ints) -> Bool:
     ndarray of bool, (n,)
         True if light may be interpolated between them.
     """
+    parts = [
+        _alike(ground, a[i : i + CHUNK], b[i : i + CHUNK]) for i in range(0, max(1, len(a)), CHUNK)
+    ]
+    return np.concatenate(parts)
+
+
+def _alike(ground: Ground, a: Ints, b: Ints) -> Bool:
     chord = ground.position[a] - ground.position[b]
     up_a, up_b = ground.normal[a], ground.normal[b]
     off_a, off_b = _dot(up_a, chord), _dot(up_b, chord)

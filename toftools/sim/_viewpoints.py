@@ -149,7 +149,7 @@ def shoot(task: Task, view: Viewpoint, count: int, seed: int) -> tuple[Jit, Jit]
     square, _ = view.chart.sample(pair(mi, index, key, mi.UInt32(0)))
     away = mi.warp.square_to_uniform_sphere(square)
     si = task.stage.scene.ray_intersect(mi.Ray3f(mi.Point3f(*map(float, view.place)), away))
-    found = dr.compress(scatters_alike(mi, si))
+    found: Jit = dr.compress(scatters_alike(mi, si))
     si = dr.gather(mi.SurfaceInteraction3f, si, found)
     normal = up_of(si)
     dr.eval(si, normal)
@@ -242,7 +242,10 @@ def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F
 
     mi = task.mi
     each = [shoot(task, view, PROBES // len(views), seed + 1) for view in views]
-    places, normals, candidates, probes = [], [], [], 0
+    places: list[F64] = []
+    normals: list[F64] = []
+    candidates: list[F64] = []
+    probes = 0
     for si, normal in each:
         for step in range(DEEP):
             if dr.width(si.t) == 0:
@@ -254,7 +257,7 @@ def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F
             valid, facing = scatters_alike(mi, nearby), up_of(nearby)
             probes += int(np.count_nonzero(valid.numpy())) if step == 0 else 0
             hidden = valid & (density(task, views, 1, nearby.p, facing, valid) <= 0)
-            kept = dr.compress(hidden)
+            kept: Jit = dr.compress(hidden)
             middle = dr.gather(mi.Point3f, 0.5 * (si.p + nearby.p), kept)
             si = dr.gather(mi.SurfaceInteraction3f, nearby, kept)
             normal = dr.gather(mi.Normal3f, facing, kept)
@@ -278,7 +281,8 @@ def _picked(
     number = np.linspace(0, candidates.shape[1] - 1, min(CANDIDATES, candidates.shape[1]))
     some = candidates[:, np.unique(number.astype(int))]
     seen = _sees(task, some, unseen, normals)
-    rest, picked = np.ones(total, bool), []
+    rest = np.ones(total, bool)
+    picked: list[F64] = []
     while len(picked) < most and rest.sum() > left:
         gain = (seen & rest).sum(axis=1)
         best = int(gain.argmax())

@@ -53,9 +53,7 @@ def channels_of(task: Task, freqs_hz: F64) -> Channels:
         The Q frequencies first.
     """
     plain = any(not flash.modulated for flash in task.flashes)
-    return Channels(
-        np.append(freqs_hz, [0.0] * plain), (True,) * len(freqs_hz) + (False,) * plain
-    )
+    return Channels(np.append(freqs_hz, [0.0] * plain), (True,) * len(freqs_hz) + (False,) * plain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +176,6 @@ def lit(task: Task, si: Jit, channels: Channels) -> C128:
     for flash in task.flashes:
         mine = np.flatnonzero(np.array(channels.modulated) == flash.modulated)
         value, far_m = flash_light(task.mi, task.stage, flash, si, si.is_valid())
-        values = (np.asarray(x.numpy(), np.float64) for x in (value, far_m))
-        light[mine] += turned(*values, channels.freqs_hz[mine])
+        values, ways_m = (np.asarray(x.numpy(), np.float64) for x in (value, far_m))
+        light[mine] += turned(values, ways_m, channels.freqs_hz[mine])
     return light

@@ -1,7 +1,8 @@
-"""Engine `auto`: the closed form where one covers the whole request, path tracing elsewhere.
+"""Engine `auto`: the closed form where one covers the whole request, virtual lights elsewhere.
 
 A closed form has no noise and takes milliseconds, but only for the transport it was derived for:
-an isotropic emitter at the camera, diffuse surfaces and, in the corner, one bounce.
+an isotropic emitter at the camera, diffuse surfaces and, in the corner, one bounce. Virtual lights
+take any scene, and leave to path tracing what is not diffuse; a number of paths asks for paths.
 """
 
 from collections.abc import Mapping
@@ -43,14 +44,16 @@ def choose(
     >>> choose(Scene("cavity"), sensor("deeptof"))
     ('analytic', 'the scene has a closed form')
     >>> choose(Scene("corner"), sensor("deeptof"))
-    ('path', 'the closed form of corner ends after 1 indirect bounce')
+    ('radiosity', 'the closed form of corner ends after 1 indirect bounce')
     >>> choose(Scene("corner"), sensor("deeptof"), max_bounces=1)[0]
     'analytic'
     """
     if scene.name in SCENES and scene.name not in WORLDS:
         return "analytic", f"{scene.name} plants its light and has no geometry to trace"
     obstacle = _obstacle(scene, sensor, max_bounces, samples)
-    return ("analytic", "the scene has a closed form") if obstacle is None else ("path", obstacle)
+    if obstacle is None:
+        return "analytic", "the scene has a closed form"
+    return ("radiosity" if samples is None else "path"), obstacle
 
 
 def _obstacle(

@@ -15,31 +15,18 @@ over path length, so the same paths carry ``exp(+j 2 pi f l / c)`` as weight at 
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from toftools._native import import_mitsuba
 from toftools.camera import rays
-from toftools.phasor import demodulate
-from toftools.sim._flash import flashes_of
-from toftools.sim._holes import MOST
-from toftools.sim._render import Image, Order, render
+from toftools.sim._exposure import Frame, check_antialias, engine
+from toftools.sim._image import Order
+from toftools.sim._render import render
 from toftools.sim._stop import Depth, needed_bounces
-from toftools.sim._task import Task, first_hits
-from toftools.sim.noise import (
-    Frame,
-    Light,
-    capture_moving,
-    capture_taps,
-    light_freqs_hz,
-    true_phasors,
-)
-from toftools.sim.scenes import world_of
-from toftools.sim.stage import load
-from toftools.sim.world import World, world_at
-from toftools.types import C64, F32, F64, Capture, Scene, Sensor, Shot, Taps, Truth
+from toftools.sim._task import Task
+from toftools.sim.noise import light_freqs_hz
+from toftools.sim.world import World
+from toftools.types import Capture, Scene, Shot
 
 log = logging.getLogger(__name__)
 
@@ -75,75 +62,92 @@ def path(
     ValueError
         If the scene or a parameter is unknown, broken or out of range.
     """
-    if not 1 <= antialias <= 16:
-        msg = f"antialias must be 1..16 points along a pixel, got {antialias}"
-        raise ValueError(msg)
+    check_antialias(antialias)
     if max_samples < 1:
         msg = f"max_samples must be 1 or more, got {max_samples}"
         raise ValueError(msg)
-    variant = "cuda_ad_mono" if gpu else "llvm_ad_mono"
-    if not isinstance(scene, Scene | World):
-        msg = (
-            f"path got a {type(scene).__name__}, wanted a Scene or a World; a Mitsuba dictionary "
-            "becomes one by toftools.sim.scenes.from_dict"
-        )
-        raise ValueError(msg)
-    world = world_of(scene) if isinstance(scene, Scene) else scene
-    name: dict[str, Any] = {}
-    if isinstance(scene, Scene):  # parameters apart: the seed of a room is not that of its noise
-        name = {"scene": scene.name, "scene_params": dict(scene.params)}
-    mi = import_mitsuba(variant)
-    still = load(world, variant=variant)  # broken scenes are refused here, not at the first shot
 
-    def run(shot: Shot) -> Capture:
-        moves = bool(world.velocity_mps) and shot.sensor.timing.tap_interval_s > 0
-        done: dict[float, _Frame] = {}
+    def expose(task: Task, shot: Shot, earlier: Frame | None) -> Frame:
+        depth = depth_of(task, shot, earlier)
+        order = order_of(shot, depth, antialias, max_samples)
+        return Frame(render(task, order), told_of(depth), task)
 
-        def frame_at(time_s: float) -> Frame:
-            stage = load(world_at(world, time_s), variant=variant) if time_s else still
-            task = Task(mi, stage, flashes_of(mi, stage, shot.sensor))
-            done[time_s] = _expose(task, shot, antialias, max_samples, done.get(0.0))
-            return done[time_s].light, done[time_s].ambient_e
-
-        seed = shot.seed if shot.noisy else None
-        if moves:
-            taps = capture_moving(frame_at, shot.sensor, seed=seed)
-        else:
-            taps = capture_taps(*frame_at(0.0), shot.sensor, seed=seed)
-        return _capture(shot, taps, done[0.0], {**name, **_told(shot, done, world, antialias)})
-
-    return run
+    return engine("path", scene, expose, antialias=antialias, gpu=gpu)
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """One still picture: light of every pixel at every frequency."""
+def depth_of(task: Task, shot: Shot, earlier: Frame | None) -> Depth:
+    """Bounces to model; later times of a sequence keep those of the first.
 
-    light: Light
-    ambient_e: F64
-    image: Image
-    depth: Depth
-    task: Task
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    shot : Shot
+        What is asked for.
+    earlier : Frame or None
+        The first frame.
 
-
-def _expose(
-    task: Task, shot: Shot, antialias: int, max_samples: int, earlier: _Frame | None
-) -> _Frame:
-    """Light at one time; later times of a sequence keep the bounces of the first."""
-    sensor, freqs_hz = shot.sensor, light_freqs_hz(shot.sensor)
+    Returns
+    -------
+    Depth
+        Bounces, and why.
+    """
     if shot.max_bounces is not None:
-        depth = Depth(shot.max_bounces, np.nan, f"{shot.max_bounces} bounces were asked for")
-    elif earlier is not None:
-        depth = earlier.depth
-    else:
-        centres, mod_hz = rays(sensor.camera).reshape(-1, 3), sensor.modulation.freqs_hz
-        depth = needed_bounces(task, centres, mod_hz, shot.tol_m, shot.seed)
-        log.info("%s", depth.why)
-    order = Order(
-        camera=sensor.camera,
+        return Depth(shot.max_bounces, np.nan, f"{shot.max_bounces} bounces were asked for")
+    if earlier is not None and "max_bounces" in earlier.told:
+        told = earlier.told
+        left_mm = told["left_out_mm"]
+        left_m = np.nan if left_mm is None else 1e-3 * left_mm
+        return Depth(told["max_bounces"], left_m, told["max_bounces_why"])
+    centres, mod_hz = rays(shot.sensor.camera).reshape(-1, 3), shot.sensor.modulation.freqs_hz
+    depth = needed_bounces(task, centres, mod_hz, shot.tol_m, shot.seed)
+    log.info("%s", depth.why)
+    return depth
+
+
+def told_of(depth: Depth) -> dict[str, object]:
+    """What is said about bounces.
+
+    Parameters
+    ----------
+    depth : Depth
+        Bounces, and why.
+
+    Returns
+    -------
+    dict
+        Entries of the provenance.
+    """
+    return {
+        "max_bounces": depth.bounces,
+        "max_bounces_why": depth.why,
+        "left_out_mm": None if np.isnan(depth.left_m) else 1e3 * depth.left_m,
+    }
+
+
+def order_of(shot: Shot, depth: Depth, antialias: int, max_samples: int) -> Order:
+    """What to render for a shot.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is asked for.
+    depth : Depth
+        Bounces.
+    antialias, max_samples : int
+        As of `path`.
+
+    Returns
+    -------
+    Order
+        For `render`.
+    """
+    freqs_hz = light_freqs_hz(shot.sensor)
+    return Order(
+        camera=shot.sensor.camera,
         side=antialias,
         freqs_hz=freqs_hz,
-        used=np.searchsorted(freqs_hz, sensor.modulation.freqs_hz),
+        used=np.searchsorted(freqs_hz, shot.sensor.modulation.freqs_hz),
         bounces=depth.bounces,
         ambient_bounces=max(depth.bounces, AMBIENT_BOUNCES if shot.max_bounces is None else 0),
         samples=shot.samples,
@@ -151,80 +155,3 @@ def _expose(
         max_samples=max_samples,
         seed=shot.seed,
     )
-    image = render(task, order)
-    signal_e = sensor.noise.signal_e
-    ambient_e = task.stage.ambient_e + signal_e * image.ambient
-    light = _light(image.direct + image.one_bounce + image.rest, freqs_hz, signal_e)
-    return _Frame(light, ambient_e, image, depth, task)
-
-
-def _light(phasors: Any, freqs_hz: F64, signal_e: float) -> Light:  # noqa: ANN401
-    """Light by frequency, as the sensor model asks for it."""
-    by_freq = {float(f): signal_e * layer for f, layer in zip(freqs_hz, phasors, strict=True)}
-    return by_freq.__getitem__
-
-
-def _capture(shot: Shot, taps: Taps, frame: _Frame, told: dict[str, Any]) -> Capture:
-    return Capture(
-        sensor=shot.sensor,
-        taps=taps,
-        phasors=demodulate(taps, shot.sensor),
-        truth=_truth(shot.sensor, frame),
-        provenance={"engine": "path", **told},
-    )
-
-
-def _truth(sensor: Sensor, frame: _Frame) -> Truth:
-    """What the camera should have seen, through the centres of its pixels."""
-    stage, shape = frame.task.stage, sensor.camera.shape
-    views = rays(sensor.camera).reshape(-1, 3)
-    first = first_hits(frame.task, views, hole=MOST)
-    hit = np.asarray(first.is_valid().numpy(), bool)
-    range_m = np.where(hit, first.t.numpy() * stage.unit_m, np.nan)
-    normals = first.n.numpy().T @ stage.to_world[:3, :3]  # scene to camera frame
-    facing = np.sign(-(normals * np.nan_to_num(views)).sum(axis=1, keepdims=True))
-    albedo = first.bsdf().eval_diffuse_reflectance(first, first.is_valid())[0].numpy()
-    image, freqs_hz, signal_e = frame.image, light_freqs_hz(sensor), sensor.noise.signal_e
-    parts: dict[str, C64] = {
-        name: true_phasors(_light(getattr(image, name), freqs_hz, signal_e), sensor)
-        for name in ("direct", "one_bounce", "rest")
-    }
-    normals = np.where(hit[:, None], normals * facing, np.nan).reshape(*shape, 3)
-    # Mitsuba's diffuse reflectance of a metal is its highlight, which has no bound.
-    albedo = np.where(hit & (albedo < 1.001), albedo, np.nan).reshape(shape)
-    return Truth(_f32(range_m.reshape(shape)), **parts, normals=_f32(normals), albedo=_f32(albedo))
-
-
-def _f32(values: F64) -> F32:
-    return np.asarray(values, dtype=np.float32)
-
-
-def _told(shot: Shot, frames: dict[float, _Frame], world: World, antialias: int) -> dict[str, Any]:
-    """What was modelled, and why: the report that travels with the capture."""
-    first = frames[0.0]
-    error_m = first.image.error_m
-    known = np.isfinite(error_m)
-    worst_mm = 1e3 * float(error_m[known].max()) if known.any() else None
-    lamps = first.task.stage.lamp_modulated
-    return {
-        "seed": shot.seed if shot.noisy else None,
-        "path_seed": shot.seed,
-        "max_bounces": first.depth.bounces,
-        "max_bounces_why": first.depth.why,
-        "left_out_mm": None if np.isnan(first.depth.left_m) else 1e3 * first.depth.left_m,
-        "samples": int(first.image.samples.max()),
-        "samples_mean": float(first.image.samples.mean()),
-        "standard_error_mm": worst_mm,
-        "tolerance_mm": 1e3 * shot.tol_m if shot.samples is None else None,
-        "tolerance_met": None if shot.samples is not None or worst_mm is None
-        else worst_mm <= 1e3 * shot.tol_m,
-        "within_tolerance": None if shot.samples is not None or worst_mm is None
-        else float((error_m[known] <= shot.tol_m).mean()),
-        "antialias": antialias,
-        "ambient_e": world.ambient_e,
-        "lamps": {"modulated": int(lamps.sum()), "ambient": int((~lamps).sum())},
-        "lamp_gain": world.lamp_gain,
-        "frames": len(frames),
-        "not_modelled": "caustics: light that mirrors or clear glass throw on other surfaces",
-        **({"scene_notes": list(notes)} if (notes := getattr(world, "notes", ())) else {}),
-    }  # fmt: skip

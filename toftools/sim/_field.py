@@ -1,0 +1,254 @@
+"""Indirect light at diffuse points, of any number of bounces: one independent estimate per seed.
+
+Virtual lights and rays share the first bounce (`_hemisphere`); the indirect light that they carry
+comes out of a cache (`_cache`) whose places are the virtual lights, and some of what the points'
+own rays hit nearby, since there it is looked up most. Light with more than one bounce is scaled so
+that radiance 1 everywhere would give what the points really see of diffuse surfaces: most of what
+virtual lights get wrong is a factor common to all light.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._cache import NEAR, Cache, applied, lookups, solved
+from toftools.sim._gather import gather
+from toftools.sim._hemisphere import SURE, Against, Hits, hemisphere
+from toftools.sim._phasors import C128
+from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._sobol import hashed, pair
+from toftools.sim._task import Jit, Task, next_hit
+from toftools.sim._tracer import lane_keys
+from toftools.sim._viewpoints import Viewpoint
+from toftools.sim._virtual import Channels, Virtual, virtual_lights
+from toftools.types import F64
+
+PER_RAY = 32
+"""Virtual lights per ray of a point."""
+FEWEST, MOST_RAYS = 32, 1024
+NEARBY = 0.5
+"""Places of the cache among nearby hits, per virtual light."""
+OPEN_RAYS = 512
+MOST_HITS = 1 << 21
+"""Rays of points at a time."""
+SCOUTS = 2048
+"""Points that tell where the cache should be finer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Light of a scene, ready to be looked at from any point.
+
+    Parameters
+    ----------
+    views : tuple of Viewpoint
+        From where virtual lights were put on surfaces.
+    channels : Channels
+        What is summed up.
+    lights : Virtual
+        Virtual lights.
+    cache : Cache or None
+        Indirect light of surfaces, that of the virtual lights first; None without surfaces.
+    rays : int
+        Rays of a point that go with so many virtual lights.
+    near_m : float
+        Nearer than this the cache knows nothing, m.
+    sure : float
+        Weight from which rays' hits are kept for sure.
+    seed : int
+        Of the rays.
+    """
+
+    views: tuple[Viewpoint, ...]
+    channels: Channels
+    lights: Virtual
+    cache: Cache | None
+    rays: int
+    near_m: float
+    sure: float
+    seed: int
+
+
+def share_met(task: Task, points: Jit, seed: int) -> F64:
+    """Share of each point's hemisphere, by the cosine, that diffuse surfaces fill.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    points : SurfaceInteraction3f, (W,)
+        Points.
+    seed : int
+        Of the rays.
+
+    Returns
+    -------
+    ndarray, (W,)
+        From 0 to 1.
+    """
+    import drjit as dr
+
+    mi, width = task.mi, dr.width(points.t)
+    up, active = up_of(points), scatters_alike(mi, points)
+    key = hashed(mi, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))  # one for all: neighbours err alike
+    dr.eval(up, active)
+    limit = dr.opaque(mi.UInt32, OPEN_RAYS)
+
+    def body(number: Jit, met: Jit) -> tuple[Jit, Jit]:
+        square = pair(mi, number, key, mi.UInt32(0))
+        away = mi.Frame3f(up).to_world(mi.warp.square_to_cosine_hemisphere(square))
+        nearby = next_hit(task, points, away, active)
+        return number + 1, met + dr.select(active & scatters_alike(mi, nearby), 1.0, 0.0)
+
+    state = (mi.UInt32(0), dr.zeros(mi.Float, width))
+    _, met = dr.while_loop(state, lambda number, *_: number < limit, body)
+    return np.asarray(met.numpy(), np.float64) / OPEN_RAYS
+
+
+def light_field(
+    task: Task,
+    views: tuple[Viewpoint, ...],
+    channels: Channels,
+    points: Jit,
+    total: int,
+    bounces: int | None,
+    seed: int,
+) -> Field:
+    """Light a scene and solve for its bounces.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    views : tuple of Viewpoint
+        From where virtual lights are put on surfaces.
+    channels : Channels
+        What is summed up.
+    points : SurfaceInteraction3f
+        Some of the diffuse points that will be looked at: near them the cache is finer.
+    total : int
+        Directions in which virtual lights are looked for.
+    bounces : int or None
+        Indirect bounces; None for all.
+    seed : int
+        Other seeds give independent estimates.
+
+    Returns
+    -------
+    Field
+        Light everywhere.
+    """
+    rays = int(np.clip(1 << (total // PER_RAY).bit_length(), FEWEST, MOST_RAYS))
+    lights = virtual_lights(task, views, total, channels, seed)
+    near = _nearby(task, views, points, total, NEARBY * len(lights.albedo), seed)
+    sets = [*lights.at, *near]
+    if not sets:
+        return Field(views, channels, lights, None, rays, 0.0, SURE, seed)
+    spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
+    left = None if bounces is None else bounces - 1
+    spacing = float(spacing_m) / task.stage.unit_m
+    cache = solved(task, sets, spacing, channels, left, seed + 0x77)
+    near_m = 0.0 if left is not None else NEAR * float(spacing_m)
+    return Field(views, channels, lights, cache, rays, near_m, SURE, seed)
+
+
+def arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
+    """Mean radiance over the hemisphere of points, by number of indirect bounces.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    field : Field
+        Light of the scene.
+    points : SurfaceInteraction3f, (W,)
+        Diffuse points; others get nothing.
+
+    Returns
+    -------
+    tuple of ndarray, (C, W), complex128
+        Light with one bounce, and with more; phases end at the points.
+    """
+    import drjit as dr
+
+    step, parts = max(256, MOST_HITS // field.rays), []
+    for start in range(0, dr.width(points.t), step):
+        index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start)) + start
+        some = dr.gather(task.mi.SurfaceInteraction3f, points, index)
+        parts.append(_arriving(task, field, some))
+    kinds = np.zeros((len(field.channels.freqs_hz), 0), np.complex128)
+    one, rest = zip(*parts, strict=True) if parts else ((kinds,), (kinds,))
+    return np.concatenate(one, axis=1), np.concatenate(rest, axis=1)
+
+
+def _arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
+    """The same for as many points as fit."""
+    import drjit as dr
+
+    mi, width, channels, cache = task.mi, dr.width(points.t), field.channels, field.cache
+    # One root for all points: neighbours err alike, so that interpolation sees smooth light.
+    keys = lane_keys(mi, dr.zeros(mi.UInt32, width), field.seed + 0x51)
+    against = Against(field.views, field.lights.total)
+    arrived = hemisphere(
+        task, points, keys, field.rays, channels, against, field.near_m, field.sure
+    )
+    if cache is None:
+        return arrived.one_bounce, arrived.rest
+    later = cache.light[:, : len(field.lights.albedo)]
+    one, rest, ones = gather(task, points, field.lights, later, channels, field.rays)
+    hits, straight = arrived.hits, arrived.hits.straight
+    ones = ones + arrived.ones
+    found = applied(lookups(cache, _some(hits, straight), width, channels), cache.light)
+    met = share_met(task, points, field.seed + 0x91)
+    scale = np.divide(met, ones, out=np.ones(width), where=ones > 0)
+    rest = arrived.rest + scale * (rest + found)
+    if not straight.all():
+        other = lookups(cache, _some(hits, ~straight), width, channels)
+        rest = rest + applied(other, cache.light)
+    return arrived.one_bounce + one, rest
+
+
+def _some(hits: Hits, which: Any) -> Hits:  # noqa: ANN401 - bools
+    return Hits(
+        lane=hits.lane[which],
+        p=hits.p[:, which],
+        n=hits.n[:, which],
+        weight=hits.weight[which],
+        length_m=hits.length_m[which],
+        straight=hits.straight[which],
+        at=[],
+    )
+
+
+def _nearby(
+    task: Task,
+    views: tuple[Viewpoint, ...],
+    points: Jit,
+    total: int,
+    wanted: float,
+    seed: int,
+) -> list[Jit]:
+    """Places that the points' own rays look up, by chance, those with more weight rather."""
+    import drjit as dr
+
+    mi, width = task.mi, dr.width(points.t)
+    if not width or not wanted > 0:
+        return []
+    index = dr.arange(mi.UInt32, -(-width // max(1, width // SCOUTS))) * max(1, width // SCOUTS)
+    some = dr.gather(mi.SurfaceInteraction3f, points, index)
+    keys = lane_keys(mi, index, seed + 0x33)
+    dark, none = task.without_flashes(), Channels(np.zeros(1), (True,))
+    hits = hemisphere(dark, some, keys, FEWEST, none, Against(views, total)).hits
+    if not hits.weight.size:
+        return []
+    chance = np.random.default_rng(seed).random(hits.weight.size)
+    taken = chance < wanted * hits.weight / hits.weight.sum()
+    sets, start = [], 0
+    for at in hits.at:
+        number = np.flatnonzero(taken[start : start + dr.width(at.t)])
+        start += dr.width(at.t)
+        if number.size:
+            sets.append(dr.gather(mi.SurfaceInteraction3f, at, mi.UInt32(number.astype(np.uint32))))
+    dr.eval(sets)
+    return sets
