@@ -192,19 +192,21 @@ def cost_table(cost):
 def of_throughput(data):
     """Captures per minute."""
     head = ["engine", "tolerance, mm", "s per capture", "captures per minute", "captures timed",
-            "told error, mm"]  # fmt: skip
+            "told error, mm", "within the tolerance"]  # fmt: skip
     rows = []
     for r in data["rows"]:
         told = "-" if r["told_mm"] is None else f"{r['told_mm']:.2f}"
-        note = "" if r["complete"] else " (limit of samples reached)"
-        rows.append([r["engine"], f"{r['tol_mm']:g}", f"{r['seconds']:.2f}",
-                     f"{60 / r['seconds']:.2f}", str(r["count"]), told + note])  # fmt: skip
+        timed = str(r["count"]) if r["measured"] else "none, extrapolated"
+        rate, within = f"{60 / r['seconds']:.2f}", "yes" if r["within"] else "no"
+        took = f"{r['seconds']:.2f}"
+        rows.append([r["engine"], f"{r['tol_mm']:g}", took, rate, timed, told, within])
     gains = ", ".join(f"{g:.0f} times at {tol} mm" for tol, g in data["gain"].items())
     parts = [
         "## Captures of a data set",
         about_line(data["about"]),
         f"{data['recipe']} After the first capture, which builds kernels, `radiosity` makes "
-        f"{gains} as many captures as `path`.",
+        f"{gains} as many captures as `path`. The tolerance of `radiosity` is that of the image, "
+        "of `path` that of its worst tile; `path` stops at its limit of samples all the same.",
         table(head, rows),
     ]
     return "\n\n".join(parts)
