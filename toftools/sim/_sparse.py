@@ -42,10 +42,12 @@ AUDIT = 1024
 """Pixels of one audit: a third evenly, one where cells err, one where no cell serves."""
 AUDITS = 6
 """Audits at most."""
-SAFETY = 0.7
+SAFETY = 0.8
 """Share of the tolerance that cells may spend, since audits scatter."""
-HASTE = 0.25
+HASTE = 0.75
 """Smallest share of the budget that an audit leaves; what it hit is split in any case."""
+HOPELESS_M = 1e3
+"""What an infinite error counts for."""
 LEAST_SIDE = 4
 """Smaller images, px, are sampled whole."""
 SEED = 20180
@@ -110,7 +112,7 @@ def place(surface: Surface, evaluate: Evaluate, errors_m: Errors, tol_m: float) 
         return _plan(ground, picked, _identity(picked), 0.0)
 
     def error(delta: C128, pixels: Ints) -> F64:
-        return np.nan_to_num(np.abs(errors_m(delta, pixels)))
+        return np.nan_to_num(np.abs(errors_m(delta, pixels)), posinf=HOPELESS_M)
 
     tools = (evaluate, error)
     cells = first_cells(ground.shape)
