@@ -29,7 +29,7 @@ from toftools.types import Emitter, Scene, Shot
 from toftools.units import time_to_path
 
 EYE = ideal(16, 12, more=",hfov_deg=39.3077")
-AXIS = {"bin_m": 0.05, "n_bins": 1024}
+AXIS = {"bin_m": 0.05, "n_bins": 512}
 FREQS_HZ = [0.0, 20e6]
 SEEDS, SIGMAS = 10, 4.1
 """The limit is Student's t with 9 degrees of freedom at two-sided 0.27 %."""
