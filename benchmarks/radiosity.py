@@ -40,7 +40,7 @@ ENGINES = {
     BEST: ("peers.mitransient_peer", {"sampler": "multijitter"}, (16, 64, 256)),
     PLAIN: ("peers.mitransient_peer", {"sampler": "independent"}, (16, 64, 256)),
 }
-LIMIT_S = 15.0  # an engine that took longer for a frame is not asked for finer ones
+LIMIT_S = 30.0  # an engine that took longer for a frame is not asked for finer ones
 
 
 def engines_of(view):
@@ -48,8 +48,8 @@ def engines_of(view):
     return [name for name in ENGINES if not (name == PLAIN and view.name.startswith(ROOM))]
 
 
-def run_view(view, folder, repeats, log):
-    """Points of every engine on one view, and the figures of its reference."""
+def run_view(view, folder, repeats, steps, log):
+    """Points of every engine on one view at its first `steps` settings; its reference's figures."""
     truth, keep = references.kept(view, folder, log)
     workers = {}
     try:
@@ -60,7 +60,7 @@ def run_view(view, folder, repeats, log):
             workers[name] = start(
                 name, module, scene=view.scene, sensor=view.sensor(), **bounces, **options
             )
-        frames = take_turns(workers, view, repeats, log)
+        frames = take_turns(workers, view, repeats, steps, log)
     finally:
         for worker in workers.values():
             worker.close()
@@ -82,10 +82,10 @@ def run_view(view, folder, repeats, log):
     }
 
 
-def take_turns(workers, view, repeats, log):
+def take_turns(workers, view, repeats, steps, log):
     """Frames per engine and setting; the first of each is not timed, seeds differ."""
     frames, done = {name: {} for name in workers}, set()
-    for step in range(max(len(ENGINES[name][2]) for name in workers)):
+    for step in range(min(steps, max(len(ENGINES[name][2]) for name in workers))):
         for turn in range(repeats + 1):
             for name, worker in workers.items():
                 settings = ENGINES[name][2]
@@ -173,7 +173,9 @@ def parsed(arguments):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path)
     parser.add_argument("--references", type=Path, required=True, help="folder to keep them in")
-    parser.add_argument("--quick", action="store_true", help="small images, one room")
+    parser.add_argument(
+        "--quick", action="store_true", help="small images, one room, coarse settings"
+    )
     parser.add_argument("--only", default="", help="views whose name begins so")
     given = parser.parse_args(arguments)
     if given.out is not None and importlib.util.find_spec("mitransient") is None:
@@ -194,8 +196,9 @@ def main(arguments=None):
             references.kept(view, given.references, log)
         return
     # Rooms are ten: their errors are known well enough from fewer frames each.
+    steps = 2 if given.quick else 99
     results = [
-        run_view(view, given.references, 1 if view.name.startswith(ROOM) else 2, log)
+        run_view(view, given.references, 1 if view.name.startswith(ROOM) else 2, steps, log)
         for view in chosen
     ]
     about = {

@@ -30,6 +30,7 @@ ENGINE = "radiosity"
 TOL_MM = 1.0
 REST_M = 1e-4  # what bounces of a reference may leave out
 SIZES = ((80, 60), (160, 120), (320, 240), (640, 480), (1280, 960))
+SMALL = ((32, 24), (64, 48))
 COSTS = {
     "cornell": ("cornell", "hfov_deg=39.3077"),
     "room 1": ("room:seed=1", "hfov_deg=70"),
@@ -172,7 +173,7 @@ def parsed(arguments):
     parser.add_argument("--references", type=Path, required=True, help="folder to keep them in")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--minutes", type=float, default=600.0, help="for scenes; go on later")
-    parser.add_argument("--quick", action="store_true", help="16 scenes, small images")
+    parser.add_argument("--quick", action="store_true", help="4 scenes, small images")
     return parser.parse_args(arguments)
 
 
@@ -182,7 +183,7 @@ def main(arguments=None):
     def log(text):
         print(f"[{time.perf_counter() - begin:6.1f} s] {text}", file=sys.stderr, flush=True)
 
-    chosen = seeded.samples(16 if given.quick else given.count)
+    chosen = seeded.samples(4 if given.quick else given.count)
     if given.out is None:
         for sample in chosen:
             truth_of(sample, given.references)
@@ -192,7 +193,7 @@ def main(arguments=None):
     rows = all_judged(
         chosen, given.out / "radiosity_seeds.jsonl", given.references, 60 * given.minutes, log
     )
-    cost = costs(SIZES[:2] if given.quick else SIZES, 1 if given.quick else 2, log)
+    cost = costs(SMALL if given.quick else SIZES, 1 if given.quick else 2, log)
     about = {
         "versions": versions(),
         "machine": machine(os.cpu_count() or 1),

@@ -74,13 +74,13 @@ def main(arguments=None):
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--captures", type=int, default=3, help="of radiosity; path makes one")
     parser.add_argument("--full", action="store_true", help="path at 1 mm too: many minutes")
-    parser.add_argument("--quick", action="store_true", help="48 x 48 pixels, one capture each")
+    parser.add_argument("--quick", action="store_true", help="24 x 24 pixels, one capture each")
     given, begin = parser.parse_args(arguments), time.perf_counter()
 
     def log(text):
         print(f"[{time.perf_counter() - begin:6.1f} s] {text}", file=sys.stderr, flush=True)
 
-    side, count = (48, 1) if given.quick else (256, given.captures)
+    side, count = (24, 1) if given.quick else (256, given.captures)
     sensor = preset(f"deeptof:width={side},height={side}")
     rows = []
     for engine, many in ((RADIOSITY, count), (PATH, 1)):
