@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._hemisphere import Hits, hemisphere, joined
+from toftools.sim._hemisphere import hemisphere
+from toftools.sim._hits import Hits, joined
 from toftools.sim._phasors import C128
 from toftools.sim._second import up_of
 from toftools.sim._task import Jit, Task

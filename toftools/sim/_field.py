@@ -8,13 +8,13 @@ virtual lights get wrong is a factor common to all light.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from toftools.sim._cache import NEAR, Cache, applied, lookups, solved
 from toftools.sim._gather import gather
-from toftools.sim._hemisphere import SURE, Against, Hits, hemisphere
+from toftools.sim._hemisphere import SURE, Against, hemisphere
+from toftools.sim._hits import some
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._sobol import hashed, pair
@@ -175,8 +175,8 @@ def arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
     step, parts = max(256, MOST_HITS // field.rays), []
     for start in range(0, dr.width(points.t), step):
         index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start)) + start
-        some = dr.gather(task.mi.SurfaceInteraction3f, points, index)
-        parts.append(_arriving(task, field, some))
+        part = dr.gather(task.mi.SurfaceInteraction3f, points, index)
+        parts.append(_arriving(task, field, part))
     kinds = np.zeros((len(field.channels.freqs_hz), 0), np.complex128)
     one, rest = zip(*parts, strict=True) if parts else ((kinds,), (kinds,))
     return np.concatenate(one, axis=1), np.concatenate(rest, axis=1)
@@ -199,26 +199,14 @@ def _arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
     one, rest, ones = gather(task, points, field.lights, later, channels, field.rays)
     hits, straight = arrived.hits, arrived.hits.straight
     ones = ones + arrived.ones
-    found = applied(lookups(cache, _some(hits, straight), width, channels), cache.light)
+    found = applied(lookups(cache, some(hits, straight), width, channels), cache.light)
     met = share_met(task, points, field.seed + 0x91)
     scale = np.divide(met, ones, out=np.ones(width), where=ones > 0)
     rest = arrived.rest + scale * (rest + found)
     if not straight.all():
-        other = lookups(cache, _some(hits, ~straight), width, channels)
+        other = lookups(cache, some(hits, ~straight), width, channels)
         rest = rest + applied(other, cache.light)
     return arrived.one_bounce + one, rest
-
-
-def _some(hits: Hits, which: Any) -> Hits:  # noqa: ANN401 - bools
-    return Hits(
-        lane=hits.lane[which],
-        p=hits.p[:, which],
-        n=hits.n[:, which],
-        weight=hits.weight[which],
-        length_m=hits.length_m[which],
-        straight=hits.straight[which],
-        at=[],
-    )
 
 
 def _nearby(
@@ -236,14 +224,14 @@ def _nearby(
     if not width or not wanted > 0:
         return []
     index = dr.arange(mi.UInt32, -(-width // max(1, width // SCOUTS))) * max(1, width // SCOUTS)
-    some = dr.gather(mi.SurfaceInteraction3f, points, index)
+    scouts = dr.gather(mi.SurfaceInteraction3f, points, index)
     keys = lane_keys(mi, index, seed + 0x33)
     dark, none = task.without_flashes(), Channels(np.zeros(1), (True,))
-    hits = hemisphere(dark, some, keys, FEWEST, none, Against(views, total)).hits
+    hits = hemisphere(dark, scouts, keys, FEWEST, none, Against(views, total)).hits
     if not hits.weight.size:
         return []
-    chance = np.random.default_rng(seed).random(hits.weight.size)
-    taken = chance < wanted * hits.weight / hits.weight.sum()
+    rng = np.random.default_rng(seed)
+    taken = rng.random(hits.weight.size) < wanted * hits.weight / hits.weight.sum()
     sets, start = [], 0
     for at in hits.at:
         number = np.flatnonzero(taken[start : start + dr.width(at.t)])

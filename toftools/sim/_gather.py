@@ -10,8 +10,8 @@ import numpy as np
 
 from toftools.sim._phasors import C128, cycles_per_m, turn
 from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._segments import above, segment
 from toftools.sim._task import Jit, Task
-from toftools.sim._viewpoints import above, segment
 from toftools.sim._virtual import Channels, Virtual
 from toftools.types import F64
 

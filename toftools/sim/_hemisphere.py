@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._flash import flash_light
+from toftools.sim._hits import Hits, joined, no_hits
 from toftools.sim._phasors import C128, cycles_per_m, turn
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._sobol import hashed, pair, single
@@ -32,35 +33,6 @@ LONGEST = 32
 """Surfaces in a row that are not diffuse."""
 SURE = 0.3
 """Weight from which a hit is kept for sure; others stay by chance."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hits:
-    """Diffuse places that rays met.
-
-    Parameters
-    ----------
-    lane : ndarray of int, (K,)
-        Point that the ray came from.
-    p, n : ndarray, (3, K)
-        Places in scene units, and normals.
-    weight : ndarray, (K,)
-        Share of the point's mean radiance.
-    length_m : ndarray, (K,)
-        Optical way from the point, m.
-    straight : ndarray of bool, (K,)
-        Whether nothing lies between.
-    at : list of SurfaceInteraction3f
-        The places, part by part.
-    """
-
-    lane: Any
-    p: F64
-    n: F64
-    weight: F64
-    length_m: F64
-    straight: Any
-    at: list[Jit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,30 +129,6 @@ def hemisphere(
         joined([part.hits for part in parts]),
         np.concatenate([part.ones for part in parts]),
     )
-
-
-def no_hits() -> Hits:
-    """Hits of no ray."""
-    none = np.zeros(0)
-    return Hits(none.astype(np.int64), np.zeros((3, 0)), np.zeros((3, 0)), none, none, none > 0, [])
-
-
-def joined(parts: list[Hits]) -> Hits:
-    """Several sets of hits as one.
-
-    Parameters
-    ----------
-    parts : list of Hits
-        Sets; lanes must already count through.
-
-    Returns
-    -------
-    Hits
-        All of them.
-    """
-    names = ("lane", "p", "n", "weight", "length_m", "straight")
-    rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
-    return Hits(**rows, at=[si for part in parts for si in part.at])
 
 
 def _part(

@@ -15,29 +15,26 @@ import numpy as np
 from toftools.sim._field import arriving, light_field
 from toftools.sim._image import Order
 from toftools.sim._phasors import C128
-from toftools.sim._render import tiles_of
-from toftools.sim._seen import Seen, points_at, seen
-from toftools.sim._sparse import Plan, Surface, place, spread
-from toftools.sim._stop import range_errors_m
+from toftools.sim._placing import placed
+from toftools.sim._seen import points_at, seen
+from toftools.sim._sparse import Plan
 from toftools.sim._task import Jit, Task
-from toftools.sim._viewpoints import Viewpoint, viewpoints
-from toftools.sim._virtual import Channels, channels_of
+from toftools.sim._viewpoints import viewpoints
+from toftools.sim._virtual import channels_of
+from toftools.sim._wanted import Wanted, errors_of, lit_of, pixels_of, pooled, wrong_m
 from toftools.types import F64
-from toftools.units import path_to_phase
 
 log = logging.getLogger(__name__)
 
 REPLICATES = 4
 FIRST, MOST = 1024, 1 << 18
 """Virtual lights of an estimate in the first round, and at the most."""
-PLACING = 2048
-"""Virtual lights while places are chosen."""
 FALL = 0.65
 """Exponent with which the error falls with the number of virtual lights, as measured."""
-NOISE, BETWEEN = 0.7, 0.5
-"""Shares of the tolerance for scatter and for interpolation; their squares leave room for bias."""
-FAINT = 0.01
-"""Pixels this much darker than the median do not count for the error: they tell no range."""
+NOISE, ENOUGH = 0.6, 0.75
+"""Shares of the tolerance at which scatter is aimed, and with which it is content."""
+AUDIT, PILOTS = 768, 4
+"""Points that measure errors, and rounds at those alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,19 +63,6 @@ class Indirect:
     lights: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """What all estimates share."""
-
-    task: Task
-    order: Order
-    what: Seen
-    views: tuple[Viewpoint, ...]
-    channels: Channels
-    direct: C128
-    bounces: int | None
-
-
 def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Indirect:
     """Indirect light at all pixels that see a diffuse surface.
 
@@ -102,136 +86,92 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
     channels = channels_of(task, order.freqs_hz)
     fine = direct.repeat(order.side, axis=1).repeat(order.side, axis=2)
     views = viewpoints(task, order.seed)
-    scene = _Scene(task, order, what, views, channels, fine.reshape(len(direct), -1), bounces)
-    plan = _placed(scene)
+    scene = Wanted(task, order, what, views, channels, fine.reshape(len(direct), -1), bounces)
+    plan = placed(scene)
     log.info("gathered at %d of %d points", plan.pixels.size, what.diffuse.sum())
-    points = points_at(task, what, plan.pixels)
-    total, rounds = order.samples or FIRST, 0
+    apart = _audited(scene)
+    total = order.samples or _enough(scene, plan, apart)
+    rounds = 0
     while True:
-        runs = [
-            _run(scene, plan, points, total, rounds * REPLICATES + i) for i in range(REPLICATES)
-        ]
-        mean = np.mean([run for run, _ in runs], axis=0)
-        error_m = _errors(scene, plan, np.stack([run.sum(axis=0)[order.used] for run, _ in runs]))
-        lit = _lit(scene)
+        number = np.concatenate([plan.pixels, apart])
+        runs, lights = _runs(scene, plan, number, total, 100 + rounds)
+        mean, rounds = runs.mean(axis=0), rounds + 1
+        error_m = errors_of(scene, plan, runs[..., : plan.pixels.size].sum(axis=1)[:, order.used])
+        lit = lit_of(scene)
         reached_m = float(np.sqrt(np.mean(error_m[lit] ** 2))) if lit.any() else 0.0
         log.info("%d virtual lights, standard error %.2f mm rms", total, 1e3 * reached_m)
-        target_m, rounds = NOISE * order.tol_m, rounds + 1
-        if order.samples is not None or reached_m <= target_m or total >= MOST:
+        if order.samples is not None or reached_m <= ENOUGH * order.tol_m or total >= MOST:
             break
-        more = (reached_m / target_m) ** (1 / FALL)
-        total = int(min(MOST, total * np.clip(1.1 * more, 1.5, 16)))
-    return _made(scene, plan, mean, error_m, sum(number for _, number in runs), reached_m)
+        total = _more(total, reached_m, order.tol_m)
+    found_m = _between(scene, plan, apart, mean.sum(axis=0)[order.used])
+    return _made(scene, replace(plan, error_m=found_m), mean, error_m, (lights, reached_m))
 
 
-def _run(scene: _Scene, plan: Plan, points: Jit, total: int, number: int) -> tuple[C128, int]:
-    """One estimate of one and more bounces at the gathered points, (2, C, S)."""
+def _more(total: int, reached_m: float, tol_m: float) -> int:
+    """Virtual lights that will do, by how the error falls."""
+    more = (reached_m / (NOISE * tol_m)) ** (1 / FALL)
+    return int(min(MOST, total * np.clip(1.1 * more, 1.3, 16)))
+
+
+def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
+    """Points drawn evenly among all, whose light is gathered only to measure errors."""
+    able = np.flatnonzero(scene.what.diffuse)
+    rng = np.random.default_rng(scene.order.seed)
+    return np.sort(rng.choice(able, min(AUDIT, able.size), replace=False))
+
+
+def _enough(scene: Wanted, plan: Plan, apart: Any) -> int:  # noqa: ANN401 - ints
+    """Virtual lights that reach the tolerance at some points."""
+    total, used = FIRST, scene.order.used
+    for rounds in range(PILOTS):
+        runs, _ = _runs(scene, plan, apart, total, rounds)
+        each = runs.sum(axis=1)[:, used]
+        mean = each.mean(axis=0)
+        wrong = wrong_m(scene, each - mean, mean, apart)
+        reached_m = float(np.sqrt(np.sum(wrong**2) / apart.size / (len(each) - 1) / len(each)))
+        log.info("%d virtual lights, %.2f mm rms at %d points", total, 1e3 * reached_m, apart.size)
+        if reached_m <= NOISE * scene.order.tol_m or total >= MOST:
+            break
+        total = _more(total, reached_m, scene.order.tol_m)
+    return total
+
+
+def _between(scene: Wanted, plan: Plan, apart: Any, mean: C128) -> float:  # noqa: ANN401 - ints
+    """Error of interpolation, rms over all points, m: what audited ones have gathered tells."""
+    count = plan.pixels.size
+    told = (plan.matrix[apart] @ mean[:, :count].T).T
+    fresh = ~np.isin(apart, plan.pixels)
+    wrong = wrong_m(scene, told - mean[:, count:], mean[:, count:], apart)
+    return float(np.sqrt(np.mean((wrong * fresh) ** 2))) if apart.size else 0.0
+
+
+def _runs(
+    scene: Wanted,
+    plan: Plan,
+    number: Any,  # noqa: ANN401 - ints
+    total: int,
+    rounds: int,
+) -> tuple[C128, int]:
+    """Independent estimates at points, (P, 2, C, S), and their virtual lights."""
+    places = points_at(scene.task, scene.what, plan.pixels)
+    points = points_at(scene.task, scene.what, number)
+    runs = [_run(scene, places, points, total, rounds * REPLICATES + i) for i in range(REPLICATES)]
+    return np.stack([run for run, _ in runs]), sum(lights for _, lights in runs)
+
+
+def _run(scene: Wanted, places: Jit, points: Jit, total: int, number: int) -> tuple[C128, int]:
+    """One estimate of one and more bounces at points, (2, C, S)."""
     seed = (scene.order.seed * 0x10001 + number + 1) * 0x9E3779B1 % (1 << 31)
-    field = light_field(scene.task, scene.views, scene.channels, points, total, scene.bounces, seed)
+    field = light_field(scene.task, scene.views, scene.channels, places, total, scene.bounces, seed)
     return np.stack(arriving(scene.task, field, points)), len(field.lights.albedo)
 
 
-def _placed(scene: _Scene) -> Plan:
-    """Points to gather at."""
-    task, what, used = scene.task, scene.what, scene.order.used
-    wave = scene.order.freqs_hz[used]
-    known: dict[str, Any] = {}
-
-    def evaluate(number: Any) -> C128:  # noqa: ANN401 - ints
-        points = points_at(task, what, number)
-        if not known:
-            seed = scene.order.seed + 99
-            field = light_field(
-                task, scene.views, scene.channels, points, PLACING, scene.bounces, seed
-            )
-            # Nothing by chance that neighbours do not share: differences are those of the light.
-            known["field"] = replace(field, near_m=0.0, sure=0.0)
-        one, rest = arriving(task, known["field"], points)
-        light = np.asarray((one + rest)[used])
-        known.setdefault("total", _roughly(scene, number, light))
-        return light
-
-    def errors_m(delta: C128, number: Any) -> F64:  # noqa: ANN401 - ints
-        total = known["total"]
-        size = np.abs(total).min(axis=0)
-        counts = size > FAINT * np.median(size[what.diffuse])
-        error_m = range_errors_m(_shown(what, delta, wave, number), total[:, number], wave)
-        return np.where(counts[number], error_m, 0.0)
-
-    shape = what.shape
-    surface = Surface(
-        what.position_m.reshape(*shape, 3),
-        what.normal.reshape(*shape, 3),
-        what.diffuse.reshape(shape),
-    )
-    return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m)
-
-
-def _roughly(scene: _Scene, number: Any, light: C128) -> C128:  # noqa: ANN401 - ints
-    """All modulated light of all points, the indirect part that of the nearest of some points."""
-    from scipy.spatial import cKDTree
-
-    what = scene.what
-    place = np.where(what.met[:, None], what.position_m, 0.0)
-    rows = np.concatenate([place, what.normal], axis=1)
-    _, nearest = cKDTree(rows[number]).query(rows, workers=-1)
-    wave = scene.order.freqs_hz[scene.order.used]
-    every = np.arange(len(place))
-    indirect = _shown(what, light[:, nearest], wave, every)
-    return np.asarray(scene.direct[scene.order.used] + indirect)
-
-
-def _shown(what: Seen, light: C128, freqs_hz: F64, number: Any) -> C128:  # noqa: ANN401 - ints
-    """Radiance at the camera out of mean radiance over the hemisphere of points."""
-    turned = np.exp(1j * path_to_phase(what.range_m[number], freqs_hz[:, None]))
-    return np.asarray(what.albedo[number] * light * turned)
-
-
-def _pixels(scene: _Scene, plan: Plan, values: C128, freqs_hz: F64) -> C128:
-    """Radiance of pixels, (C, H, W), out of values (C, S) at the gathered points."""
-    every = np.arange(len(scene.what.range_m))
-    light = spread(plan, values).reshape(len(values), -1)
-    return np.asarray(_averaged(scene, _shown(scene.what, light, freqs_hz, every)))
-
-
-def _averaged(scene: _Scene, values: Any) -> Any:  # noqa: ANN401 - any kind
-    """Mean over the points of every pixel, (..., H, W)."""
-    (height, width), side = scene.order.camera.shape, scene.order.side
-    fine = values.reshape(*values.shape[:-1], height, side, width, side)
-    return fine.mean(axis=(-3, -1))
-
-
-def _total(scene: _Scene) -> C128:
-    return np.asarray(_averaged(scene, scene.direct[scene.order.used]))
-
-
-def _lit(scene: _Scene) -> Any:  # noqa: ANN401 - bools
-    """Pixels whose range counts."""
-    size = np.abs(_total(scene)).min(axis=0)
-    if not size.any():
-        return size > 0
-    diffuse = _averaged(scene, scene.what.diffuse.astype(float)) == 1
-    return diffuse & (size > FAINT * np.median(size[size > 0]))
-
-
-def _errors(scene: _Scene, plan: Plan, runs: C128) -> F64:
-    """Standard error of the range of the runs' mean, (H, W), m; runs are (P, F, S)."""
-    wave, shape = scene.order.freqs_hz[scene.order.used], scene.order.camera.shape
-    mean = runs.mean(axis=0)
-    total = _total(scene) + _pixels(scene, plan, mean, wave)
-    total = total.reshape(len(wave), -1)
-    variance = np.zeros(total.shape[1])
-    for run in runs:
-        apart = _pixels(scene, plan, run - mean, wave).reshape(len(wave), -1)
-        variance += range_errors_m(apart, total, wave) ** 2
-    return np.sqrt(variance / (len(runs) - 1) / len(runs)).reshape(shape)
-
-
 def _made(
-    scene: _Scene, plan: Plan, mean: C128, error_m: F64, lights: int, reached_m: float
+    scene: Wanted, plan: Plan, mean: C128, error_m: F64, facts: tuple[int, float]
 ) -> Indirect:
-    kinds = len(scene.order.freqs_hz)
-    one, rest = (_pixels(scene, plan, part, scene.channels.freqs_hz) for part in mean)
+    kinds, (lights, reached_m) = len(scene.order.freqs_hz), facts
+    gathered = mean[..., : plan.pixels.size]
+    one, rest = (pixels_of(scene, plan, part, scene.channels.freqs_hz) for part in gathered)
     told = {
         "virtual_lights": lights,
         "viewpoints": len(scene.views),
@@ -241,16 +181,6 @@ def _made(
     }
     if scene.order.samples is None:
         told["tolerance_met"] = bool(np.hypot(reached_m, plan.error_m) <= scene.order.tol_m)
-    both = _pooled(np.sqrt(error_m**2 + plan.error_m**2), _lit(scene))
+    both = pooled(np.sqrt(error_m**2 + plan.error_m**2), lit_of(scene))
     plain = (one + rest)[kinds:].real.sum(axis=0)
     return Indirect(one[:kinds], rest[:kinds], plain, both, told, lights)
-
-
-def _pooled(error_m: F64, lit: Any) -> F64:  # noqa: ANN401 - bools
-    """Root mean square of errors over every tile of the image."""
-    tile, turn = tiles_of(*error_m.shape)
-    count = np.bincount(tile, lit.ravel()[turn])
-    total = np.bincount(tile, (error_m**2 * lit).ravel()[turn])
-    pooled = np.empty(error_m.size)
-    pooled[turn] = np.sqrt(total / np.maximum(count, 1))[tile]
-    return pooled.reshape(error_m.shape)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._segments import above, segment
 from toftools.sim._sobol import hashed, pair
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.types import F64
@@ -34,8 +35,6 @@ CELLS, FINE = 32, 4
 """Rows of the map of directions that hit something, and rays along each side of its cells."""
 FAINT = 0.02
 """Density of directions that hit nothing: what a coarse map missed is still met."""
-CLEAR = 1e-4
-"""Rays between places start and end this much above the surfaces, relative to coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,42 +197,6 @@ def density(
         chance = view.chart.eval(square) * (0.5 * dr.inv_two_pi) * dr.opaque(mi.Float, number)
         found += dr.select(lit, chance * cosine / dr.square(far * task.stage.unit_m), 0.0)
     return found
-
-
-def above(p: Jit, n: Jit) -> Jit:
-    """Places a little above their surfaces.
-
-    Parameters
-    ----------
-    p, n : Point3f, Normal3f
-        Places and normals.
-
-    Returns
-    -------
-    Point3f
-        Moved places.
-    """
-    import drjit as dr
-
-    return p + n * (CLEAR * (1 + dr.max(dr.abs(p))))
-
-
-def segment(mi: Any, start: Jit, end: Jit) -> Jit:  # noqa: ANN401 - the module mitsuba
-    """Ray from one place to another.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba with a Dr.Jit variant set.
-    start, end : Point3f
-        Ends.
-
-    Returns
-    -------
-    Ray3f
-        Ray whose length 1 is the way.
-    """
-    return mi.Ray3f(start, end - start, mi.Float(1.0), mi.Float(0.0), mi.Color0f())
 
 
 def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F64, F64, int]:

@@ -1,0 +1,88 @@
+"""Diffuse places that rays met, whose indirect light is looked up in a cache."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._task import Jit
+from toftools.types import F64
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Diffuse places that rays met.
+
+    Parameters
+    ----------
+    lane : ndarray of int, (K,)
+        Point that the ray came from.
+    p, n : ndarray, (3, K)
+        Places in scene units, and normals.
+    weight : ndarray, (K,)
+        Share of the point's mean radiance.
+    length_m : ndarray, (K,)
+        Optical way from the point, m.
+    straight : ndarray of bool, (K,)
+        Whether nothing lies between.
+    at : list of SurfaceInteraction3f
+        The places, part by part.
+    """
+
+    lane: Any
+    p: F64
+    n: F64
+    weight: F64
+    length_m: F64
+    straight: Any
+    at: list[Jit]
+
+
+def no_hits() -> Hits:
+    """Hits of no ray."""
+    none = np.zeros(0)
+    return Hits(none.astype(np.int64), np.zeros((3, 0)), np.zeros((3, 0)), none, none, none > 0, [])
+
+
+def joined(parts: list[Hits]) -> Hits:
+    """Several sets of hits as one.
+
+    Parameters
+    ----------
+    parts : list of Hits
+        Sets; lanes must already count through.
+
+    Returns
+    -------
+    Hits
+        All of them.
+    """
+    names = ("lane", "p", "n", "weight", "length_m", "straight")
+    rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
+    return Hits(**rows, at=[si for part in parts for si in part.at])
+
+
+def some(hits: Hits, which: Any) -> Hits:  # noqa: ANN401 - bools
+    """A part of hits, without their surfaces.
+
+    Parameters
+    ----------
+    hits : Hits
+        Hits.
+    which : ndarray of bool, (K,)
+        Which of them.
+
+    Returns
+    -------
+    Hits
+        Those.
+    """
+    return Hits(
+        lane=hits.lane[which],
+        p=hits.p[:, which],
+        n=hits.n[:, which],
+        weight=hits.weight[which],
+        length_m=hits.length_m[which],
+        straight=hits.straight[which],
+        at=[],
+    )
