@@ -25,7 +25,7 @@ from toftools.sensors import sensor as preset
 from toftools.types import Scene, Shot
 
 BOUNCES = 20
-COARSE_MM, FINE_MM = 5.0, 1.0
+TOLERANCES_MM, QUICK_MM = (5.0, 1.0), (20.0, 10.0)
 FIRST_ROOM = 1000
 PATH, RADIOSITY = "path", "radiosity"
 PATH_LIMIT, PROBE = 4096, 64  # its default limit of samples; samples that tell the time of one
@@ -58,15 +58,15 @@ def row(engine, tol_mm, seconds, told_mm, *, within, measured=True):
     }  # fmt: skip
 
 
-def path_at_fine(coarse, sensor, log):
+def path_at_fine(coarse, fine_mm, sensor, log):
     """What `path` takes at the fine tolerance, out of what it takes at the coarse one."""
     probe = capture(PATH, 1, sensor, samples=PROBE)[0]
     most = probe * PATH_LIMIT / PROBE
-    seconds = coarse["seconds"] * (COARSE_MM / FINE_MM) ** 2
-    log(f"{PATH}: {PROBE} samples take {probe:.1f} s; {FINE_MM:g} mm would take {seconds:.0f} s, "
+    seconds = coarse["seconds"] * (coarse["tol_mm"] / fine_mm) ** 2
+    log(f"{PATH}: {PROBE} samples take {probe:.1f} s; {fine_mm:g} mm would take {seconds:.0f} s, "
         f"its limit of samples {most:.0f} s")  # fmt: skip
     found = min(seconds, most)
-    return row(PATH, FINE_MM, [found], None, within=seconds <= most, measured=False)
+    return row(PATH, fine_mm, [found], None, within=seconds <= most, measured=False)
 
 
 def main(arguments=None):
@@ -74,23 +74,24 @@ def main(arguments=None):
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--captures", type=int, default=3, help="of radiosity; path makes one")
     parser.add_argument("--full", action="store_true", help="path at 1 mm too: many minutes")
-    parser.add_argument("--quick", action="store_true", help="24 x 24 pixels, one capture each")
+    parser.add_argument("--quick", action="store_true", help="24 x 24 pixels, 20 and 10 mm")
     given, begin = parser.parse_args(arguments), time.perf_counter()
 
     def log(text):
         print(f"[{time.perf_counter() - begin:6.1f} s] {text}", file=sys.stderr, flush=True)
 
     side, count = (24, 1) if given.quick else (256, given.captures)
+    coarse_mm, fine_mm = QUICK_MM if given.quick else TOLERANCES_MM
     sensor = preset(f"deeptof:width={side},height={side}")
     rows = []
     for engine, many in ((RADIOSITY, count), (PATH, 1)):
         took, _ = capture(engine, 0, sensor, samples=16)
         log(f"{engine}, first call: {took:.1f} s")
-        rows.append(timed(engine, sensor, COARSE_MM, many, log))
+        rows.append(timed(engine, sensor, coarse_mm, many, log))
         if engine == RADIOSITY or given.full:
-            rows.append(timed(engine, sensor, FINE_MM, many, log))
+            rows.append(timed(engine, sensor, fine_mm, many, log))
         else:
-            rows.append(path_at_fine(rows[-1], sensor, log))
+            rows.append(path_at_fine(rows[-1], fine_mm, sensor, log))
     speed = {(r["engine"], r["tol_mm"]): r["seconds"] for r in rows}
     data = {
         "about": {
@@ -101,7 +102,7 @@ def main(arguments=None):
         "recipe": f"Seeded rooms, {side} x {side} pixels, 20 MHz, albedos of 0.3 to 0.8, up to "
         f"{BOUNCES} bounces.",
         "rows": rows,
-        "gain": {f"{t:g}": speed[PATH, t] / speed[RADIOSITY, t] for t in (COARSE_MM, FINE_MM)},
+        "gain": {f"{t:g}": speed[PATH, t] / speed[RADIOSITY, t] for t in (coarse_mm, fine_mm)},
     }
     radiosity_page.save(given.out, "throughput", data)
     radiosity_page.write(given.out)

@@ -152,8 +152,8 @@ def test_throughput_of_path_is_extrapolated_to_its_limit(bench, monkeypatch):
     script = bench["radiosity_throughput"]
     monkeypatch.setattr(script, "capture", lambda *_, **__: (1.0, {}))
     coarse = script.row("path", 5.0, [10.0], 5.0, within=True)
-    found = script.path_at_fine(coarse, None, lambda _: None)
+    found = script.path_at_fine(coarse, 1.0, None, lambda _: None)
     assert (found["seconds"], found["within"]) == (64.0, False)  # 4096 samples, not 250 s
     coarse = script.row("path", 5.0, [1.0], 5.0, within=True)
-    found = script.path_at_fine(coarse, None, lambda _: None)
+    found = script.path_at_fine(coarse, 1.0, None, lambda _: None)
     assert (found["seconds"], found["within"]) == (25.0, True)
