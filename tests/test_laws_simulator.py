@@ -24,11 +24,16 @@ ONE, TWO = (f"{name}:width={W},height={H}" for name in ("deeptof", "opt8241"))
 SCENES = {
     "analytic": ("wall", "corner", "cavity"),
     "path": ("wall", "corner", "cornell"),
+    "radiosity": ("wall", "corner", "cornell"),
 }
-QUICK = {"analytic": {"max_bounces": 1}, "path": {"max_bounces": 1, "samples": 16}}
-# Path tracers know their light to single precision; indirect light of the same seed has the same
-# paths, so that it repeats to the last digits.
-DIGITS = {"analytic": 1e-6, "path": 1e-5}
+QUICK = {
+    "analytic": {"max_bounces": 1},
+    "path": {"max_bounces": 1, "samples": 16},
+    "radiosity": {"max_bounces": 1, "samples": 256},
+}
+# Tracers know their light to single precision; indirect light of the same seed has the same paths
+# or virtual lights, so that it repeats to the last digits.
+DIGITS = {"analytic": 1e-6, "path": 1e-5, "radiosity": 1e-5}
 CASES = [(name, scene) for name in SIMULATORS for scene in SCENES.get(name, ("wall",))]
 
 each_case = pytest.mark.parametrize(("name", "scene"), CASES)
