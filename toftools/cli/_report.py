@@ -1,6 +1,7 @@
 """What `toftools simulate` says about a capture: what was modelled, why, and how well."""
 
 from collections.abc import Iterator, Mapping
+from math import hypot
 from typing import Any
 
 from toftools.types import Capture, Truth
@@ -41,8 +42,12 @@ def told(capture: Capture, *, wall_s: float, peak_mb: float) -> list[str]:
 
 
 def _light(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    from toftools.sim.radiosity import SOLVED
+
     bounces = facts.get("max_bounces")
-    if "max_bounces_why" in facts:
+    if facts.get("max_bounces_why") == SOLVED.why:
+        yield "bounces", SOLVED.why
+    elif "max_bounces_why" in facts:
         yield "bounces", f"{bounces}: {facts['max_bounces_why']}"
     else:
         yield "bounces", "all that the engine has" if bounces is None else f"{bounces} at most"
@@ -54,7 +59,10 @@ def _paths(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         return
     most, mean, error = facts["samples"], facts["samples_mean"], facts["standard_error_mm"]
     yield from _virtual(facts)
-    if not most and "virtual_lights" in facts:
+    if "virtual_lights" in facts:
+        if most:
+            yield "paths", f"up to {most} a pixel of those left to them"
+        yield from _over_the_image(facts)
         return
     if not most:
         yield "paths", "none, as direct light is computed without"
@@ -74,9 +82,30 @@ def _virtual(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "virtual_lights" not in facts:
         return
     lights, views, gathered = (facts[k] for k in ("virtual_lights", "viewpoints", "gathered"))
-    yield "lights", f"{lights} virtual ones from {views} viewpoints, gathered at {gathered} points"
+    seen = f"{views} viewpoint{'s' * (views != 1)}"
+    yield "lights", f"{lights} virtual ones as seen from {seen}, gathered at {gathered} points"
     scatter, between = _mm(facts["scatter_mm"]), _mm(facts["interpolation_mm"])
     yield "error", f"{scatter} rms of range by scatter, {between} by interpolation"
+
+
+def _over_the_image(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Whether virtual lights, and the paths beside them, reached the tolerance."""
+    wanted, most = facts["tolerance_mm"], facts["samples"]
+    if wanted is None:
+        return
+    reached = hypot(facts["scatter_mm"], facts["interpolation_mm"])
+    if facts["tolerance_met"]:
+        text = " and in every tile of paths" if most else ""
+        yield "tolerance", f"{wanted:g} mm met over the image{text}"
+        return
+    if reached > wanted:
+        what, cure = f"the image has {_mm(reached)} rms", "take paths (--engine path)"
+        more = f"--tol-mm {_up(reached):g}"
+    else:
+        what = "not in every tile of paths"
+        cure = f"allow more (--engine radiosity:max_samples={4 * most})"
+        more = "a larger --tol-mm"
+    yield "tolerance", f"{wanted:g} mm NOT MET, {what}; {cure} or accept more ({more})"
 
 
 def missed(facts: Mapping[str, Any]) -> str:

@@ -61,7 +61,8 @@ Sensors: {", ".join(PRESETS)}; each takes {", ".join(KEYS)} (Hz, px, electrons; 
 joined by +).
 
 Engines: {", ".join(SIMULATORS)}, with parameters such as path:antialias=3; or auto: the closed form
-where one covers the scene, the sensor and the bounces, else path. docs/simulator.md tells more.
+where one covers the scene, the sensor and the bounces, else virtual lights (radiosity), or path
+where --spp counts paths. docs/simulator.md tells more.
 
 \b
 Examples:
@@ -89,9 +90,9 @@ def _bounces(text: str) -> int | None:
 @click.option("--engine", default="auto", show_default=True, metavar="NAME[:k=v]",
               help="What computes the light.")  # fmt: skip
 @click.option("--tol-mm", type=float, default=1.0, show_default=True,
-              help="Standard error of range that path tracing may leave.")  # fmt: skip
+              help="Standard error of range: over the image; path: in every tile.")  # fmt: skip
 @click.option("--spp", type=click.IntRange(min=1), default=None,
-              help="Paths per pixel, instead of a tolerance.")  # fmt: skip
+              help="Paths per pixel (radiosity: virtual lights), no tolerance.")  # fmt: skip
 @click.option("--max-bounces", type=_bounces, default="auto", show_default=True,
               metavar="auto|N",
               help="Indirect bounces; auto: all that can move range by --tol-mm.")  # fmt: skip

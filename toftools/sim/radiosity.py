@@ -132,6 +132,8 @@ def _frame(
     deep = depth_of(task, shot, None) if earlier is None else _earlier(earlier)
     paths = render(task, order_of(shot, deep, antialias, max_samples), only=other)
     told |= {"left_why": "their surfaces are not diffuse", "path_bounces": deep.bounces}
+    if "tolerance_met" in told:
+        told["tolerance_met"] &= not (paths.error_m[other] > shot.tol_m).any()  # NaN is no error
     return Frame(_merged(image, paths, other), told, task)
 
 
