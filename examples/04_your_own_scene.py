@@ -1,4 +1,4 @@
-"""A scene of your own, path traced: how much of the range error is multipath, bounce by bounce.
+"""A scene of your own: how much of the range error is multipath, bounce by bounce.
 
 Run: python examples/04_your_own_scene.py
 """
@@ -8,7 +8,7 @@ import numpy as np
 from toftools import Phasors, Shot
 from toftools.correct.crt import crt
 from toftools.sensors import sensor
-from toftools.sim.path import path
+from toftools.sim.radiosity import radiosity
 from toftools.sim.scenes import from_dict
 from toftools.sim.world import look_at
 
@@ -39,10 +39,10 @@ world = from_dict(
     to_world=look_at((0.3, 0.8, 1.5), (0, 0.4, -0.6)),
 )
 camera = sensor("opt8241:width=80,height=60,hfov_deg=55,beam_deg=80")
-capture = path(world)(Shot(camera, seed=1, tol_m=3e-3))
+capture = radiosity(world)(Shot(camera, seed=1, tol_m=3e-3))
 told = capture.provenance
-print(f"{told['max_bounces']} bounces: {told['max_bounces_why']}")
-print(f"{told['samples_mean']:.0f} paths a pixel, within {told['standard_error_mm']:.1f} mm")
+print(f"{told['virtual_lights']} virtual lights, gathered at {told['gathered']} points")
+print(f"errors {told['scatter_mm']:.1f} mm by scatter, {told['interpolation_mm']:.1f} mm between")
 
 truth, unwrap = capture.truth, crt(camera)
 layers = {"direct": truth.direct, "one bounce": truth.one_bounce, "all others": truth.rest}
