@@ -88,7 +88,7 @@ def methods_md():
         "### Closed-form scenes\n",
         "\n".join(rows([(f"`{n}`", dials(f), first_sentence(f)) for n, f in SCENES.items()],
                        ("scene", "parameters", "what"))),
-        "### Scenes of the path engine\n",
+        "### Scenes with surfaces, for radiosity and path\n",
         "\n".join(rows([(f"`{n}`", dials(f), first_sentence(f)) for n, f in WORLDS.items()],
                        ("scene", "parameters", "what"))),
         "\n".join(rows([(" ".join(f"`{s}`" for s, f in FILES.items() if f is load), dials(load),
