@@ -31,8 +31,6 @@ from toftools.units import path_to_phase
 RAYS = 64
 """Rays of each place."""
 NEAREST = 2
-NEAR = 0.25
-"""Distance, in spacings of the cache, below which it knows nothing."""
 STILL = 1e-6
 """Relative change at which all bounces are done."""
 MOST = 2000
@@ -93,11 +91,10 @@ def solved(
     import drjit as dr
 
     mi, start, light, hits = task.mi, 0, [], []
-    near_m = 0.0 if bounces is not None else NEAR * spacing * task.stage.unit_m
     for number, at in enumerate(sets):
         lane = dr.arange(mi.UInt32, dr.width(at.t)) + start
         keys = lane_keys(mi, lane, seed + number)
-        arrived = hemisphere(task, at, keys, RAYS, channels, near_m=near_m)
+        arrived = hemisphere(task, at, keys, RAYS, channels)
         arrived.hits.lane[:] += start
         start += dr.width(at.t)
         light.append(arrived.one_bounce + arrived.rest)
@@ -109,7 +106,8 @@ def solved(
     steps = MOST if bounces is None else bounces
     if steps == 0:
         return empty
-    matrices = lookups(empty, joined(hits), start, channels)
+    every = joined(hits)
+    matrices = lookups(empty, every, nearest(empty, every), start, channels)
     later = once
     for _ in range(steps - 1):
         new = once + applied(matrices, albedo * later)
@@ -130,7 +128,30 @@ def _tree(sets: list[Jit], scale: float) -> tuple[Any, float]:
     return cKDTree(np.concatenate(rows, axis=1).T), scale
 
 
-def lookups(cache: Cache, hits: Hits, lanes: int, channels: Channels) -> list[Any]:
+def nearest(cache: Cache, hits: Hits) -> tuple[F64, Any]:
+    """Places of the cache that are nearest to hits.
+
+    Parameters
+    ----------
+    cache : Cache
+        Places.
+    hits : Hits
+        What rays met.
+
+    Returns
+    -------
+    tuple of ndarray, (K, n)
+        Distances, normals included, in scene units; and numbers of the places.
+    """
+    count = range(1, min(NEAREST, cache.tree.n) + 1)
+    query = np.concatenate([hits.p, cache.scale * hits.n]).T
+    far, place = cache.tree.query(query, k=count, workers=-1)
+    return far, place
+
+
+def lookups(
+    cache: Cache, hits: Hits, near: tuple[F64, Any], lanes: int, channels: Channels
+) -> list[Any]:
     """Where hits look for their light, as one sparse matrix per channel.
 
     Parameters
@@ -139,6 +160,8 @@ def lookups(cache: Cache, hits: Hits, lanes: int, channels: Channels) -> list[An
         Places.
     hits : Hits
         What rays met.
+    near : tuple of ndarray
+        Their `nearest` places.
     lanes : int
         Number W of points that the rays came from.
     channels : Channels
@@ -151,13 +174,11 @@ def lookups(cache: Cache, hits: Hits, lanes: int, channels: Channels) -> list[An
     """
     from scipy.sparse import csr_array
 
-    nearest = min(NEAREST, cache.tree.n)
-    query = np.concatenate([hits.p, cache.scale * hits.n]).T
-    far, place = cache.tree.query(query, k=range(1, nearest + 1), workers=-1)
+    far, place = near
     share = 1 / (far**2 + (1e-3 * cache.scale) ** 2)
     share *= (hits.weight / share.sum(axis=1))[:, None]
     order = np.argsort(hits.lane, kind="stable")
-    begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * nearest
+    begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * far.shape[1]
     column, share, length_m = place[order].ravel(), share[order], hits.length_m[order]
     made: dict[float, Any] = {}
     for freq_hz in channels.freqs_hz:

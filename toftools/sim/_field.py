@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toftools.sim._cache import NEAR, Cache, applied, lookups, solved
+from toftools.sim._cache import Cache, solved
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import SURE, Against, hemisphere
-from toftools.sim._hits import some
+from toftools.sim._lookup import DEEPEST, looked_up
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._sobol import hashed, pair
@@ -29,7 +29,8 @@ PER_RAY = 32
 FEWEST, MOST_RAYS = 32, 1024
 NEARBY = 0.5
 """Places of the cache among nearby hits, per virtual light."""
-OPEN_RAYS = 512
+OPEN_RAYS = 1024
+"""Rays that only ask how open the scene is, of every point."""
 MOST_HITS = 1 << 21
 """Rays of points at a time."""
 SCOUTS = 2048
@@ -49,11 +50,11 @@ class Field:
     lights : Virtual
         Virtual lights.
     cache : Cache or None
-        Indirect light of surfaces, that of the virtual lights first; None without surfaces.
+        Indirect light of surfaces, that of the virtual lights first; None for one bounce alone.
     rays : int
         Rays of a point that go with so many virtual lights.
-    near_m : float
-        Nearer than this the cache knows nothing, m.
+    follow : int
+        How often hits that the cache is too coarse for may send rays.
     sure : float
         Weight from which rays' hits are kept for sure.
     seed : int
@@ -65,7 +66,7 @@ class Field:
     lights: Virtual
     cache: Cache | None
     rays: int
-    near_m: float
+    follow: int
     sure: float
     seed: int
 
@@ -144,16 +145,16 @@ def light_field(
     near = _nearby(task, views, points, total, NEARBY * len(lights.albedo), seed)
     sets = [*lights.at, *near]
     if not sets:
-        return Field(views, channels, lights, None, rays, 0.0, SURE, seed)
+        return Field(views, channels, lights, None, rays, 0, SURE, seed)
     spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
     left = None if bounces is None else bounces - 1
     spacing = float(spacing_m) / task.stage.unit_m
     cache = solved(task, sets, spacing, channels, left, seed + 0x77)
-    near_m = 0.0 if left is not None else NEAR * float(spacing_m)
-    return Field(views, channels, lights, cache, rays, near_m, SURE, seed)
+    follow = 0 if left is not None else DEEPEST
+    return Field(views, channels, lights, cache, rays, follow, SURE, seed)
 
 
-def arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
+def arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C128]:
     """Mean radiance over the hemisphere of points, by number of indirect bounces.
 
     Parameters
@@ -164,6 +165,8 @@ def arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
         Light of the scene.
     points : SurfaceInteraction3f, (W,)
         Diffuse points; others get nothing.
+    met : ndarray, (W,)
+        Out of `share_met`, or anything where one bounce is all that is asked for.
 
     Returns
     -------
@@ -176,13 +179,13 @@ def arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
     for start in range(0, dr.width(points.t), step):
         index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start)) + start
         part = dr.gather(task.mi.SurfaceInteraction3f, points, index)
-        parts.append(_arriving(task, field, part))
+        parts.append(_arriving(task, field, part, met[start : start + step]))
     kinds = np.zeros((len(field.channels.freqs_hz), 0), np.complex128)
     one, rest = zip(*parts, strict=True) if parts else ((kinds,), (kinds,))
     return np.concatenate(one, axis=1), np.concatenate(rest, axis=1)
 
 
-def _arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
+def _arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C128]:
     """The same for as many points as fit."""
     import drjit as dr
 
@@ -190,22 +193,17 @@ def _arriving(task: Task, field: Field, points: Jit) -> tuple[C128, C128]:
     # One root for all points: neighbours err alike, so that interpolation sees smooth light.
     keys = lane_keys(mi, dr.zeros(mi.UInt32, width), field.seed + 0x51)
     against = Against(field.views, field.lights.total)
-    arrived = hemisphere(
-        task, points, keys, field.rays, channels, against, field.near_m, field.sure
-    )
-    if cache is None:
-        return arrived.one_bounce, arrived.rest
-    later = cache.light[:, : len(field.lights.albedo)]
+    arrived = hemisphere(task, points, keys, field.rays, channels, against, field.sure)
+    count = len(field.lights.albedo)
+    later = np.zeros_like(field.lights.direct) if cache is None else cache.light[:, :count]
     one, rest, ones = gather(task, points, field.lights, later, channels, field.rays)
-    hits, straight = arrived.hits, arrived.hits.straight
+    if cache is None:
+        return arrived.one_bounce + one, arrived.rest
+    hits = arrived.hits
     ones = ones + arrived.ones
-    found = applied(lookups(cache, some(hits, straight), width, channels), cache.light)
-    met = share_met(task, points, field.seed + 0x91)
     scale = np.divide(met, ones, out=np.ones(width), where=ones > 0)
+    found = looked_up(task, cache, hits, width, channels, field.seed + 0xB1, field.follow)
     rest = arrived.rest + scale * (rest + found)
-    if not straight.all():
-        other = lookups(cache, some(hits, ~straight), width, channels)
-        rest = rest + applied(other, cache.light)
     return arrived.one_bounce + one, rest
 
 

@@ -10,7 +10,7 @@ virtual lights bright spots, are left to rays, and nothing is clamped: energy is
 1997, section 9.2.2; for virtual lights T. Kollig and A. Keller, "Illumination in the presence of
 weak singularities", 2004, recalled, which splits by a bound instead). What the rays hit is diffuse:
 its direct light is computed there, its indirect light is left to `_cache`. Surfaces that are not
-diffuse, or too near for a cache, are followed by their own scattering until another one is met.
+diffuse are followed, by their own scattering, until a diffuse one is met.
 """
 
 from dataclasses import dataclass
@@ -78,7 +78,6 @@ def hemisphere(
     rays: int,
     channels: Channels,
     against: Against | None = None,
-    near_m: float = 0.0,
     sure: float = SURE,
 ) -> Arrived:
     """Send rays from diffuse points.
@@ -97,8 +96,6 @@ def hemisphere(
         What is summed up.
     against : Against or None
         Virtual lights to be weighted against; None leaves all to the rays.
-    near_m : float
-        Diffuse hits nearer than this are followed as well, m: a cache knows nothing so fine.
     sure : float
         Weight from which a hit is kept for sure; others stay by chance, with more weight.
 
@@ -115,9 +112,7 @@ def hemisphere(
     for start in range(0, width, step):
         index = dr.arange(mi.UInt32, min(step, width - start)) + start
         some = dr.gather(mi.SurfaceInteraction3f, points, index)
-        part = _part(
-            task, some, dr.gather(mi.UInt32, keys, index), rays, channels, against, (near_m, sure)
-        )
+        part = _part(task, some, dr.gather(mi.UInt32, keys, index), rays, channels, against, sure)
         part.hits.lane[:] += start
         parts.append(part)
     if not parts:
@@ -138,7 +133,7 @@ def _part(
     rays: int,
     channels: Channels,
     against: Against | None,
-    limits: tuple[float, float],
+    sure: float,
 ) -> Arrived:
     """Rays of as many points as fit at a time; lanes are point-major."""
     import drjit as dr
@@ -164,13 +159,12 @@ def _part(
     hit = active & nearby.is_valid()
     weight = dr.select(diffuse, share, mi.Float(1))
     one = _lit(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
-    stay = dr.minimum(weight / dr.opaque(mi.Float, max(limits[1], 1e-6)), 1.0)
+    stay = dr.minimum(weight / dr.opaque(mi.Float, max(sure, 1e-6)), 1.0)
     hit &= single(mi, number, hashed(mi, key + 7)) < stay
     weight = dr.select(hit, weight / stay, 0.0)
-    near = dr.opaque(mi.Float, limits[0])
-    straight = hit & diffuse & (far_m >= near)
+    straight = hit & diffuse
     begin = (nearby, hit & ~straight, weight, far_m, mi.Float(1))
-    rest, end, weight, length_m = _followed(task, begin, (number, key), near, channels)
+    rest, end, weight, length_m = _followed(task, begin, (number, key), channels)
     dr.eval(one, rest, share, weight, length_m, end, straight)
     hits = _hits(mi, dr.compress(weight > 0), (index, end, weight / rays, length_m, straight))
     total = [np.stack([_mean(part, rays) for part in light]) for light in (one, rest)]
@@ -190,6 +184,8 @@ def _hits(mi: Any, kept: Jit, what: tuple[Jit, ...]) -> Hits:  # noqa: ANN401
     """Kept lanes in numpy."""
     import drjit as dr
 
+    if not dr.width(kept):
+        return no_hits()
     index, end, weight, length_m, straight = what
     at = dr.gather(mi.SurfaceInteraction3f, end, kept)
     normal = up_of(at)
@@ -205,7 +201,7 @@ def _hits(mi: Any, kept: Jit, what: tuple[Jit, ...]) -> Hits:  # noqa: ANN401
         weight=np.asarray(taken(mi.Float, weight), np.float64),
         length_m=np.asarray(taken(mi.Float, length_m), np.float64),
         straight=np.asarray(taken(mi.Bool, straight), bool),
-        at=[at] if dr.width(kept) else [],
+        at=[at],
     )
 
 
@@ -227,9 +223,9 @@ def _lit(
 
 
 def _followed(
-    task: Task, begin: tuple[Jit, ...], draw: tuple[Jit, Jit], near: Jit, channels: Channels
+    task: Task, begin: tuple[Jit, ...], draw: tuple[Jit, Jit], channels: Channels
 ) -> tuple[Jit, Jit, Jit, Jit]:
-    """Rays scattered on to the first diffuse surface that is not near, and the light on the way.
+    """Rays scattered on to the first diffuse surface, and the light on the way.
 
     Returned are that light, the last surface, the weight of the ray there (0 if there is none) and
     the way to it; lanes that do not start keep what they have.
@@ -251,7 +247,7 @@ def _followed(
         length_m = length_m + dr.select(hit, ior * far_m, 0.0)
         light = _lit(task, nearby, hit, weight, length_m, channels, ior)
         rest = [(a + c, b + d) for (a, b), (c, d) in zip(rest, light, strict=True)]
-        ended = hit & scatters_alike(mi, nearby) & (far_m >= near)
+        ended = hit & scatters_alike(mi, nearby)
         at = dr.select(hit, nearby, at)
         return hit & ~ended & (step < LONGEST), step + 1, at, (weight, length_m, ior), rest
 

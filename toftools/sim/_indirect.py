@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._field import arriving, light_field
+from toftools.sim._field import arriving, light_field, share_met
 from toftools.sim._image import Order
 from toftools.sim._phasors import C128
 from toftools.sim._placing import placed
@@ -155,15 +155,21 @@ def _runs(
     """Independent estimates at points, (P, 2, C, S), and their virtual lights."""
     places = points_at(scene.task, scene.what, plan.pixels)
     points = points_at(scene.task, scene.what, number)
-    runs = [_run(scene, places, points, total, rounds * REPLICATES + i) for i in range(REPLICATES)]
+    met = share_met(scene.task, points, scene.order.seed)
+    runs = [
+        _run(scene, places, (points, met), total, rounds * REPLICATES + i)
+        for i in range(REPLICATES)
+    ]
     return np.stack([run for run, _ in runs]), sum(lights for _, lights in runs)
 
 
-def _run(scene: Wanted, places: Jit, points: Jit, total: int, number: int) -> tuple[C128, int]:
+def _run(
+    scene: Wanted, places: Jit, points: tuple[Jit, F64], total: int, number: int
+) -> tuple[C128, int]:
     """One estimate of one and more bounces at points, (2, C, S)."""
     seed = (scene.order.seed * 0x10001 + number + 1) * 0x9E3779B1 % (1 << 31)
     field = light_field(scene.task, scene.views, scene.channels, places, total, scene.bounces, seed)
-    return np.stack(arriving(scene.task, field, points)), len(field.lights.albedo)
+    return np.stack(arriving(scene.task, field, *points)), len(field.lights.albedo)
 
 
 def _made(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._field import arriving, light_field
+from toftools.sim._field import arriving, light_field, share_met
 from toftools.sim._phasors import C128
 from toftools.sim._seen import points_at
 from toftools.sim._sparse import Plan, Surface, place
@@ -13,14 +13,28 @@ from toftools.sim._stop import range_errors_m
 from toftools.sim._wanted import FAINT, Wanted, shown
 from toftools.types import F64
 
-BETWEEN = 1.0
-"""Share of the tolerance: a single estimate differs more between places than the mean of four."""
+BETWEEN = 0.7
+"""Share of the tolerance that interpolation may take."""
 PLACING = 4096
 """Virtual lights of that estimate."""
 
 
 def placed(scene: Wanted) -> Plan:
-    """Points to gather at."""
+    """Points to gather at.
+
+    Light with one bounce has the creases and shadows that all indirect light has, and is known
+    without chance: errors of its interpolation stand for those of the whole, in proportion.
+
+    Parameters
+    ----------
+    scene : Wanted
+        Scene and image.
+
+    Returns
+    -------
+    Plan
+        Points, and how the others follow from them.
+    """
     task, what, used = scene.task, scene.what, scene.order.used
     wave = scene.order.freqs_hz[used]
     known: dict[str, Any] = {}
@@ -32,19 +46,22 @@ def placed(scene: Wanted) -> Plan:
             field = light_field(
                 task, scene.views, scene.channels, points, PLACING, scene.bounces, seed
             )
-            # Nothing by chance that neighbours do not share: differences are those of the light.
-            known["field"] = replace(field, near_m=0.0, sure=0.0)
-        one, rest = arriving(task, known["field"], points)
-        light = np.asarray((one + rest)[used])
-        known.setdefault("total", _roughly(scene, number, light))
-        return light
+            met = share_met(task, points, seed)
+            one, rest = (light[used] for light in arriving(task, field, points, met))
+            known["one"], known["all"] = _roughly(scene, number, one, one + rest)
+            known["field"] = replace(field, cache=None, sure=1.0)
+        one, _ = arriving(task, known["field"], points, np.ones(len(number)))
+        return np.asarray(one[used])
 
     def errors_m(delta: C128, number: Any) -> F64:  # noqa: ANN401 - ints
-        total = known["total"]
-        size = np.abs(total).min(axis=0)
-        counts = size > FAINT * np.median(size[what.diffuse])
-        error_m = range_errors_m(shown(what, delta, wave, number), total[:, number], wave)
-        return np.where(counts[number], error_m, 0.0)
+        one, light = known["one"][:, number], known["all"][:, number]
+        share = np.divide(delta, one, out=np.zeros_like(delta), where=one != 0)
+        wrong = shown(what, share * light, wave, number)
+        total = scene.direct[used][:, number] + shown(what, light, wave, number)
+        error_m = range_errors_m(wrong, total, wave)
+        size = np.abs(scene.direct[used]).min(axis=0)
+        counts = size[number] > FAINT * np.median(size[what.diffuse])
+        return np.where(counts, error_m, 0.0)
 
     shape = what.shape
     surface = Surface(
@@ -55,15 +72,12 @@ def placed(scene: Wanted) -> Plan:
     return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m)
 
 
-def _roughly(scene: Wanted, number: Any, light: C128) -> C128:  # noqa: ANN401 - ints
-    """All modulated light of all points, the indirect part that of the nearest of some points."""
+def _roughly(scene: Wanted, number: Any, *lights: C128) -> list[C128]:  # noqa: ANN401 - ints
+    """Light of all points as that of the nearest of some points."""
     from scipy.spatial import cKDTree
 
     what = scene.what
-    place = np.where(what.met[:, None], what.position_m, 0.0)
-    rows = np.concatenate([place, what.normal], axis=1)
+    where = np.where(what.met[:, None], what.position_m, 0.0)
+    rows = np.concatenate([where, what.normal], axis=1)
     _, nearest = cKDTree(rows[number]).query(rows, workers=-1)
-    wave = scene.order.freqs_hz[scene.order.used]
-    every = np.arange(len(place))
-    indirect = shown(what, light[:, nearest], wave, every)
-    return np.asarray(scene.direct[scene.order.used] + indirect)
+    return [light[:, nearest] for light in lights]

@@ -150,7 +150,7 @@ def shoot(task: Task, view: Viewpoint, count: int, seed: int) -> tuple[Jit, Jit]
     si = task.stage.scene.ray_intersect(mi.Ray3f(mi.Point3f(*map(float, view.place)), away))
     found: Jit = dr.compress(scatters_alike(mi, si))
     si = dr.gather(mi.SurfaceInteraction3f, si, found)
-    normal = up_of(si)
+    normal = up_of(si) if dr.width(found) else mi.Normal3f()
     dr.eval(si, normal)
     return si, normal
 

@@ -1,0 +1,104 @@
+"""Indirect light of what rays met: out of the cache, or by further rays where that is too coarse.
+
+A place that is nearer to the point its ray came from than to any place of the cache may lie in a
+gap that the cache knows nothing of; its light would leak in from outside. Such hits send rays of
+their own, whose hits are looked up in turn.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._cache import Cache, applied, lookups, nearest
+from toftools.sim._hemisphere import hemisphere
+from toftools.sim._hits import Hits, some
+from toftools.sim._phasors import C128
+from toftools.sim._task import Jit, Task
+from toftools.sim._tracer import lane_keys
+from toftools.sim._virtual import Channels, albedo_of
+from toftools.units import path_to_phase
+
+COARSE = 1.0
+"""Distance to the cache, in lengths of the ray, from which it is too coarse."""
+DEEPEST = 3
+FURTHER = 4
+"""Rays of such a hit."""
+
+
+def looked_up(
+    task: Task,
+    cache: Cache,
+    hits: Hits,
+    lanes: int,
+    channels: Channels,
+    seed: int,
+    deepest: int = DEEPEST,
+) -> C128:
+    """Indirect light that hits bring to the points their rays came from.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    cache : Cache
+        Indirect light of surfaces.
+    hits : Hits
+        What rays met.
+    lanes : int
+        Number W of points.
+    channels : Channels
+        What is summed up.
+    seed : int
+        Of further rays.
+    deepest : int
+        How often hits may send rays; 0 takes what the cache has.
+
+    Returns
+    -------
+    ndarray, (C, W), complex128
+        Mean radiance over the hemisphere.
+    """
+    near = nearest(cache, hits)
+    ways = hits.length_m / task.stage.unit_m
+    coarse = (near[0][:, 0] > COARSE * ways) & (deepest > 0)
+    fine = ~coarse
+    kept = lookups(cache, some(hits, fine), (near[0][fine], near[1][fine]), lanes, channels)
+    light = applied(kept, cache.light)
+    if not coarse.any():
+        return light
+    found, start = [], 0
+    for at in _surfaces(task, hits, np.flatnonzero(coarse)):
+        number = _lanes(task, at) + start
+        start += len(albedo_of(task, at))
+        arrived = hemisphere(task, at, lane_keys(task.mi, number, seed), FURTHER, channels)
+        width = arrived.one_bounce.shape[1]
+        later = looked_up(task, cache, arrived.hits, width, channels, seed + 1, deepest - 1)
+        found.append(albedo_of(task, at) * (arrived.one_bounce + arrived.rest + later))
+    more = hits.weight[coarse] * np.concatenate(found, axis=1)
+    for row, values, freq_hz in zip(light, more, channels.freqs_hz, strict=True):
+        turned = values * np.exp(1j * path_to_phase(hits.length_m[coarse], float(freq_hz)))
+        row += np.bincount(hits.lane[coarse], turned.real, lanes)
+        row += 1j * np.bincount(hits.lane[coarse], turned.imag, lanes)
+    return light
+
+
+def _lanes(task: Task, at: Jit) -> Jit:
+    import drjit as dr
+
+    return dr.arange(task.mi.UInt32, dr.width(at.t))
+
+
+def _surfaces(task: Task, hits: Hits, number: Any) -> list[Jit]:  # noqa: ANN401 - ints
+    """Surfaces of some hits, part by part."""
+    import drjit as dr
+
+    mi, parts, start = task.mi, [], 0
+    for at in hits.at:
+        end = start + dr.width(at.t)
+        mine = number[(number >= start) & (number < end)] - start
+        if mine.size:
+            index = mi.UInt32(mine.astype(np.uint32))
+            parts.append(dr.gather(mi.SurfaceInteraction3f, at, index))
+        start = end
+    dr.eval(parts)
+    return parts
