@@ -15,7 +15,7 @@ from toftools.types import F64
 
 BETWEEN = 0.7
 """Share of the tolerance that interpolation may take."""
-PLACING = 4096
+PLACING = 8192
 """Virtual lights of that estimate."""
 
 
