@@ -111,9 +111,9 @@ def _frame(
     depth = SOLVED if shot.max_bounces is None else depth_of(task, shot, None)
     order = order_of(shot, depth, antialias, max_samples)
     image = _directly(task, order)
-    other = _not_diffuse(task, order)
+    other, diffuse = _kinds(task, order)
     told: dict[str, Any] = {**told_of(depth), "left_to_path": float(other.mean())}
-    if shot.max_bounces != 0 and not other.all():
+    if shot.max_bounces != 0 and diffuse.any():
         light = indirect(task, order, image.direct, shot.max_bounces)
         image = replace(
             image,
@@ -152,11 +152,14 @@ def _directly(task: Task, order: Order) -> Image:
     return Image(direct, none, none, found.ambient.reshape(height, width), blank, blank)
 
 
-def _not_diffuse(task: Task, order: Order) -> Any:  # noqa: ANN401 - bools
-    """Pixels that see anything that is not diffuse, (H, W)."""
+def _kinds(task: Task, order: Order) -> tuple[Any, Any]:
+    """Pixels that see anything that is not diffuse, and those that see only what is, (H, W)."""
     what, (height, width) = seen(task, order.camera, order.side), order.camera.shape
-    other = (what.met & ~what.diffuse).reshape(height, order.side, width, order.side)
-    return other.any(axis=(1, 3))
+    shape = (height, order.side, width, order.side)
+    other, diffuse = (
+        flags.reshape(shape).any(axis=(1, 3)) for flags in (what.met & ~what.diffuse, what.diffuse)
+    )
+    return other, diffuse & ~other
 
 
 def _merged(image: Image, paths: Image, other: Any) -> Image:  # noqa: ANN401 - bools
