@@ -123,7 +123,7 @@ BAD += [
     ]
 ]
 BAD += [
-    (["wall", "--engine", "magic"], "unknown name 'magic'; known: analytic, path"),
+    (["wall", "--engine", "magic"], "unknown name 'magic'; known: analytic, radiosity, path"),
     (["wall", "--engine", "auto:antialias=2"], "auto takes no parameters"),
     (["wall", "--engine", "path:antialias=99"], "antialias must be 1..16"),
     (["wall", "--engine", "path:spp=9"], "path has no parameter 'spp'; it takes: antialias"),
@@ -204,7 +204,7 @@ def test_auto_says_which_engine_and_why(capsys, tmp_path):
     assert (facts["engine"], facts["engine_why"]) == ("analytic", "the scene has a closed form")
     assert capture.provenance["engine_why"] == facts["engine_why"]
     facts, capture = made(capsys, tmp_path, "corner", *SMALL)
-    assert facts["engine"] == "path"
+    assert facts["engine"] == "radiosity"
     assert "ends after 1 indirect bounce" in facts["engine_why"]
     assert facts["max_bounces"] >= 1
     facts, _ = made(capsys, tmp_path, "corner", *SMALL, "--max-bounces", "1")
@@ -238,14 +238,14 @@ def test_the_report_says_what_was_modelled_and_why(capsys, monkeypatch, tmp_path
     code, out, err = call(capsys, "simulate", "lit.xml:lamps=0", *SMALL, "--out", "c.h5")
     assert code == 0, err
     for words in ("wrote c.h5: lit.xml:lamps=0, 16 x 12 px, 20 MHz",
-                  "engine        path, because a scene file has no closed form",
+                  "engine        radiosity, because a scene file has no closed form",
                   "0 modulated, 1 ambient, switched off", "not modelled", "caustics",
                   "% see a surface", "MB of memory"):  # fmt: skip
         assert words in out
     code, out, _ = call(capsys, "simulate", "lit.xml:lamps=0.2", *SMALL, "--out", "c.h5")
     assert "1 ambient, radiance 1 counts 0.2" in out
     code, out, _ = call(capsys, "simulate", "vshape:ambient_e=300", *SMALL, "--out", "c.h5")
-    assert "tolerance     50 mm met in every tile" in out
+    assert "tolerance     50 mm met over the image" in out
     assert "300 electrons per tap on every pixel, unmodulated" in out
 
 
