@@ -325,7 +325,7 @@ def test_scenes_of_a_suite_say_what_makes_them(tmp_path):
     ]
 
 
-def test_a_path_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, monkeypatch):
+def test_a_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text(
         'methods = ["single"]\nsensor = "deeptof:width=16,height=12"\ntol_mm = 40\n'
         'scenes = ["vshape", "corner", { scene = "corner", engine = "analytic" }]\n'
@@ -334,9 +334,9 @@ def test_a_path_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, mon
     make_plan(suite, tmp_path / "out")
     captures = sorted((tmp_path / "out" / "captures").glob("*.h5"))
     made = [read_capture(path) for path in captures]
-    assert sorted(c.provenance["engine"] for c in made) == ["analytic", "path", "path"]
+    assert sorted(c.provenance["engine"] for c in made) == ["analytic", "radiosity", "radiosity"]
     for capture in made:
-        if capture.provenance["engine"] == "path":
+        if capture.provenance["engine"] == "radiosity":
             assert capture.provenance["standard_error_mm"] <= 40
             assert capture.provenance["tolerance_mm"] == pytest.approx(40)
             assert np.abs(capture.truth.one_bounce).max() > 0

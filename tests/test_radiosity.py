@@ -181,10 +181,10 @@ def test_two_emitters_one_unmodulated_and_harmonics():
 BALL, RADIUS = np.array([0.2, -0.3, 2.5]), 0.35
 
 
-@pytest.fixture(params=["mirror", "plastic"])
-def mixed(request):
+@pytest.fixture
+def mixed():
     """The Cornell box with a ball in the air, and the pixels that see it."""
-    ball = sphere(BALL, RADIUS, material(request.param, 0.7))
+    ball = sphere(BALL, RADIUS, material("plastic", 0.7))
     away = rays(SMALL.camera)
     near = away @ BALL
     sees = (near**2 - BALL @ BALL + RADIUS**2) > 0
@@ -194,7 +194,7 @@ def mixed(request):
 def test_pixels_that_see_no_diffuse_surface_are_left_to_path(mixed):
     world, sees = mixed
     assert 0.02 < sees.mean() < 0.5
-    for capture in agree(world, where=~sees):
+    for capture in agree(world, where=~sees, samples=256, within=0.05):
         assert capture.provenance["left_to_path"] == pytest.approx(sees.mean())
         assert capture.provenance["left_why"] == "their surfaces are not diffuse"
 
