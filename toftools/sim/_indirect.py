@@ -27,14 +27,15 @@ from toftools.types import F64
 log = logging.getLogger(__name__)
 
 REPLICATES = 4
-FIRST, MOST = 1024, 1 << 18
+FIRST, MOST = 1024, 1 << 16
 """Virtual lights of an estimate in the first round, and at the most."""
 FALL = 0.65
 """Exponent with which the error falls with the number of virtual lights, as measured."""
 NOISE, ENOUGH = 0.6, 0.75
 """Shares of the tolerance at which scatter is aimed, and with which it is content."""
+ROUNDS = 3
 AUDIT, PILOTS = 768, 4
-"""Points that measure errors, and rounds at those alone."""
+"""Rounds at the most; points that measure errors, and rounds at those alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,8 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
         lit = lit_of(scene)
         reached_m = float(np.sqrt(np.mean(error_m[lit] ** 2))) if lit.any() else 0.0
         log.info("%d virtual lights, standard error %.2f mm rms", total, 1e3 * reached_m)
-        if order.samples is not None or reached_m <= ENOUGH * order.tol_m or total >= MOST:
+        done = order.samples is not None or total >= MOST or rounds == ROUNDS
+        if done or reached_m <= ENOUGH * order.tol_m:
             break
         total = _more(total, reached_m, order.tol_m)
     found_m = _between(scene, plan, apart, mean.sum(axis=0)[order.used])
