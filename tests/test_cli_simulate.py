@@ -329,7 +329,7 @@ def on_terminal(folder, *args, stop_after=None):
 
 
 def test_progress_is_for_terminals(tmp_path):
-    args = ["simulate", "vshape", *SMALL, "--out", "c.h5"]
+    args = ["simulate", "vshape", *SMALL, "--engine", "path", "--out", "c.h5"]
     shown, code = on_terminal(tmp_path, *args)
     assert code == 0
     assert "\r\x1b[K0:00  " in shown
