@@ -15,6 +15,8 @@ from toftools.types import F64
 
 BETWEEN = 0.7
 """Share of the tolerance that interpolation may take."""
+SMALL = 1024
+"""Points of which so few are all gathered at."""
 PLACING = 8192
 """Virtual lights of that estimate."""
 
@@ -63,12 +65,17 @@ def placed(scene: Wanted) -> Plan:
         counts = size[number] > FAINT * np.median(size[what.diffuse])
         return np.where(counts, error_m, 0.0)
 
+    def nothing(number: Any) -> C128:  # noqa: ANN401 - ints
+        return np.zeros((len(wave), len(number)), np.complex128)
+
     shape = what.shape
     surface = Surface(
         what.position_m.reshape(*shape, 3),
         what.normal.reshape(*shape, 3),
         what.diffuse.reshape(shape),
     )
+    if what.diffuse.sum() <= SMALL:
+        return place(surface, nothing, errors_m, 0.0)
     return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m)
 
 
