@@ -343,10 +343,11 @@ def test_progress_is_for_terminals(tmp_path):
     assert b"\r" not in loud.stderr
 
 
-def test_ctrl_c_stops_and_leaves_nothing(tmp_path):
+@pytest.mark.parametrize(("engine", "word"), [("radiosity", b"gathered"), ("path", b"bounces")])
+def test_ctrl_c_stops_and_leaves_nothing(tmp_path, engine, word):
     shown, code = on_terminal(
         tmp_path, "simulate", "cornell", "--sensor", "kinect2", "--tol-mm", "0.1", "--out", "c.h5",
-        stop_after=b"bounces",
+        "--engine", engine, stop_after=word,
     )  # fmt: skip
     assert code == 1
     assert shown.rstrip().endswith("stopped")

@@ -7,11 +7,13 @@ from path_proof import ideal
 from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.sim._cache import RAYS, lookups, nearest, solved
+from toftools.sim._fan import own_fan
 from toftools.sim._flash import flashes_of
 from toftools.sim._gather import gather
-from toftools.sim._hemisphere import Against, hemisphere
+from toftools.sim._hemisphere import hemisphere
 from toftools.sim._second import up_of
 from toftools.sim._segments import CLEAR
+from toftools.sim._sweep import Against
 from toftools.sim._task import Task, first_hits
 from toftools.sim._tracer import lane_keys
 from toftools.sim._viewpoints import Viewpoint, _chart, density, viewpoints
@@ -97,8 +99,8 @@ def test_weights_of_rays_and_lights_sum_to_one_for_every_pair():
     task, count, total = task_of(PLACES), 32, 500
     mi, points, views = task.mi, points_of(task), viewpoints(task)
     lanes = mi.UInt32(np.arange(len(arrays(points.p)), dtype=np.uint32))
-    keys = lane_keys(mi, lanes, 3)
-    hits = hemisphere(task, points, keys, count, CHANNELS, Against(views, total), 0.0).hits
+    fan = own_fan(mi, count, lane_keys(mi, lanes, 3))
+    hits = hemisphere(task, points, fan, CHANNELS, Against(views, total)).hits
     x, n = arrays(points.p), arrays(up_of(points))
     chosen = np.flatnonzero(hits.weight * count > 1e-3)[::40]
     shares = hits.weight * count
@@ -142,7 +144,7 @@ def test_the_cache_solves_its_equations():
         count = len(arrays(some.p))
         keys = lane_keys(mi, mi.UInt32(np.arange(start, start + count, dtype=np.uint32)),
                          seed + number)  # fmt: skip
-        arrived = hemisphere(task, some, keys, RAYS, CHANNELS)
+        arrived = hemisphere(task, some, own_fan(mi, RAYS, keys), CHANNELS)
         once.append(arrived.one_bounce + arrived.rest)
         near = nearest(cache, arrived.hits)
         matrices = lookups(cache, arrived.hits, near, count, CHANNELS)

@@ -318,11 +318,12 @@ def test_pixels_without_any_light():
 def test_a_plan_serves_other_replicates():
     """Linear: what was placed with one field interpolates another of the same scene."""
     view = view_of(160, 120, *CORNER)
-    plan, _, _ = placed(view, lit(soft), 1e-3)
+    plan, _, own = placed(view, lit(soft), 1e-3)
+    assert rms(own) < 0.65e-3  # what the budget leaves of the tolerance
     position = view.surface.position.reshape(-1, 3)
     linear = (position @ [1.0, 2.0, 3.0])[None] + 0j
     answer = spread(plan, linear[:, plan.pixels]).reshape(1, -1)
-    assert rms(np.abs(answer - linear)) < 5e-3
+    assert rms(np.abs(answer - linear)) < 1e-3 * np.ptp(linear.real)
 
 
 def slow_bilinear(corners, y, x):

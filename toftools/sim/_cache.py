@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._fan import own_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits, joined
+from toftools.sim._light_map import LightMap, light_map
 from toftools.sim._phasors import C128
 from toftools.sim._second import up_of
 from toftools.sim._task import Jit, Task
@@ -50,12 +52,15 @@ class Cache:
         Radiance by indirect light as it leaves a place of albedo 1.
     albedo : ndarray, (K,)
         Albedo of the places.
+    guess : LightMap or None
+        The light roughly, for the device; None where all is dark.
     """
 
     tree: Any
     scale: float
     later: C128
     albedo: F64
+    guess: LightMap | None
 
     @property
     def light(self) -> C128:
@@ -94,7 +99,7 @@ def solved(
     for number, at in enumerate(sets):
         lane = dr.arange(mi.UInt32, dr.width(at.t)) + start
         keys = lane_keys(mi, lane, seed + number)
-        arrived = hemisphere(task, at, keys, RAYS, channels)
+        arrived = hemisphere(task, at, own_fan(mi, RAYS, keys), channels)
         arrived.hits.lane[:] += start
         start += dr.width(at.t)
         light.append(arrived.one_bounce + arrived.rest)
@@ -102,12 +107,13 @@ def solved(
     tree, scale = _tree(sets, 2 * spacing)
     albedo = np.concatenate([albedo_of(task, at) for at in sets])
     once = np.concatenate(light, axis=1)
-    empty = Cache(tree, scale, np.zeros_like(once), albedo)
+    empty = Cache(tree, scale, np.zeros_like(once), albedo, None)
     steps = MOST if bounces is None else bounces
     if steps == 0:
         return empty
     every = joined(hits)
-    matrices = lookups(empty, every, nearest(empty, every), start, channels)
+    near = nearest(empty, every)
+    matrices = lookups(empty, every, near, start, channels)
     later = once
     for _ in range(steps - 1):
         new = once + applied(matrices, albedo * later)
@@ -115,7 +121,10 @@ def solved(
         later = new
         if change <= STILL * np.abs(new).max(initial=0.0):
             break
-    return Cache(tree, scale, later, albedo)
+    if not every.weight.size:
+        return Cache(tree, scale, later, albedo, None)
+    guess = light_map(mi, every, radiance(empty, albedo * later, near), spacing)
+    return Cache(tree, scale, later, albedo, guess)
 
 
 def _tree(sets: list[Jit], scale: float) -> tuple[Any, float]:
@@ -174,11 +183,9 @@ def lookups(
     """
     from scipy.sparse import csr_array
 
-    far, place = near
-    share = 1 / (far**2 + (1e-3 * cache.scale) ** 2)
-    share *= (hits.weight / share.sum(axis=1))[:, None]
+    place, share = near[1], hits.weight[:, None] * _shares(cache, near[0])
     order = np.argsort(hits.lane, kind="stable")
-    begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * far.shape[1]
+    begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * place.shape[1]
     column, share, length_m = place[order].ravel(), share[order], hits.length_m[order]
     made: dict[float, Any] = {}
     for freq_hz in channels.freqs_hz:
@@ -186,6 +193,33 @@ def lookups(
         made[freq_hz] = csr_array(((share * phase).ravel(), column, begin),
                                   shape=(lanes, cache.tree.n))  # fmt: skip
     return [made[freq_hz] for freq_hz in channels.freqs_hz]
+
+
+def _shares(cache: Cache, far: F64) -> F64:
+    """Weights of the nearest places, by inverse squares."""
+    share = 1 / (far**2 + (1e-3 * cache.scale) ** 2)
+    return np.asarray(share / share.sum(axis=1)[:, None])
+
+
+def radiance(cache: Cache, light: C128, near: tuple[F64, Any]) -> C128:
+    """Light of hits out of that of their nearest places.
+
+    Parameters
+    ----------
+    cache : Cache
+        Places.
+    light : ndarray, (C, K), complex128
+        Light of the places.
+    near : tuple of ndarray
+        `nearest` places of the hits.
+
+    Returns
+    -------
+    ndarray, (C, n), complex128
+        Light of the hits.
+    """
+    share = _shares(cache, near[0])
+    return np.stack([(share * row[near[1]]).sum(axis=1) for row in light])
 
 
 def applied(matrices: list[Any], light: C128) -> C128:

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from toftools.sim._cache import Cache, solved
+from toftools.sim._fan import own_fan, shared_fan
 from toftools.sim._gather import gather
-from toftools.sim._hemisphere import SURE, Against, hemisphere
+from toftools.sim._hemisphere import hemisphere
 from toftools.sim._lookup import DEEPEST, looked_up
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._sobol import hashed, pair
+from toftools.sim._sweep import Against
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.sim._tracer import lane_keys
 from toftools.sim._viewpoints import Viewpoint
@@ -27,10 +29,10 @@ from toftools.types import F64
 PER_RAY = 32
 """Virtual lights per ray of a point."""
 FEWEST, MOST_RAYS = 32, 1024
+KEEP = 64
+"""Hits of a point, about, that are looked up in the cache."""
 NEARBY = 0.5
 """Places of the cache among nearby hits, per virtual light."""
-OPEN_RAYS = 1024
-"""Rays that only ask how open the scene is, of every point."""
 MOST_HITS = 1 << 21
 """Rays of points at a time."""
 SCOUTS = 2048
@@ -55,8 +57,8 @@ class Field:
         Rays of a point that go with so many virtual lights.
     follow : int
         How often hits that the cache is too coarse for may send rays.
-    sure : float
-        Weight from which rays' hits are kept for sure.
+    keep : int
+        Hits of a point, about, that are looked up in the cache.
     seed : int
         Of the rays.
     """
@@ -67,11 +69,11 @@ class Field:
     cache: Cache | None
     rays: int
     follow: int
-    sure: float
+    keep: int
     seed: int
 
 
-def share_met(task: Task, points: Jit, seed: int) -> F64:
+def share_met(task: Task, points: Jit, rays: int, seed: int) -> F64:
     """Share of each point's hemisphere, by the cosine, that diffuse surfaces fill.
 
     Parameters
@@ -80,6 +82,8 @@ def share_met(task: Task, points: Jit, seed: int) -> F64:
         Scene.
     points : SurfaceInteraction3f, (W,)
         Points.
+    rays : int
+        Rays of each that only ask whether they meet any.
     seed : int
         Of the rays.
 
@@ -94,7 +98,7 @@ def share_met(task: Task, points: Jit, seed: int) -> F64:
     up, active = up_of(points), scatters_alike(mi, points)
     key = hashed(mi, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))  # one for all: neighbours err alike
     dr.eval(up, active)
-    limit = dr.opaque(mi.UInt32, OPEN_RAYS)
+    limit = dr.opaque(mi.UInt32, rays)
 
     def body(number: Jit, met: Jit) -> tuple[Jit, Jit]:
         square = pair(mi, number, key, mi.UInt32(0))
@@ -104,7 +108,7 @@ def share_met(task: Task, points: Jit, seed: int) -> F64:
 
     state = (mi.UInt32(0), dr.zeros(mi.Float, width))
     _, met = dr.while_loop(state, lambda number, *_: number < limit, body)
-    return np.asarray(met.numpy(), np.float64) / OPEN_RAYS
+    return np.asarray(met.numpy(), np.float64) / rays
 
 
 def light_field(
@@ -145,16 +149,16 @@ def light_field(
     near = _nearby(task, views, points, total, NEARBY * len(lights.albedo), seed)
     sets = [*lights.at, *near]
     if not sets:
-        return Field(views, channels, lights, None, rays, 0, SURE, seed)
+        return Field(views, channels, lights, None, rays, 0, KEEP, seed)
     spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
     left = None if bounces is None else bounces - 1
     spacing = float(spacing_m) / task.stage.unit_m
     cache = solved(task, sets, spacing, channels, left, seed + 0x77)
     follow = 0 if left is not None else DEEPEST
-    return Field(views, channels, lights, cache, rays, follow, SURE, seed)
+    return Field(views, channels, lights, cache, rays, follow, KEEP, seed)
 
 
-def arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C128]:
+def arriving(task: Task, field: Field, points: Jit, met: F64 | None = None) -> tuple[C128, C128]:
     """Mean radiance over the hemisphere of points, by number of indirect bounces.
 
     Parameters
@@ -165,8 +169,8 @@ def arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C12
         Light of the scene.
     points : SurfaceInteraction3f, (W,)
         Diffuse points; others get nothing.
-    met : ndarray, (W,)
-        Out of `share_met`, or anything where one bounce is all that is asked for.
+    met : ndarray, (W,), or None
+        Out of `share_met`; with None, light of more bounces is not scaled.
 
     Returns
     -------
@@ -179,31 +183,34 @@ def arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C12
     for start in range(0, dr.width(points.t), step):
         index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start)) + start
         part = dr.gather(task.mi.SurfaceInteraction3f, points, index)
-        parts.append(_arriving(task, field, part, met[start : start + step]))
+        parts.append(
+            _arriving(task, field, part, None if met is None else met[start : start + step])
+        )
     kinds = np.zeros((len(field.channels.freqs_hz), 0), np.complex128)
     one, rest = zip(*parts, strict=True) if parts else ((kinds,), (kinds,))
     return np.concatenate(one, axis=1), np.concatenate(rest, axis=1)
 
 
-def _arriving(task: Task, field: Field, points: Jit, met: F64) -> tuple[C128, C128]:
+def _arriving(task: Task, field: Field, points: Jit, met: F64 | None) -> tuple[C128, C128]:
     """The same for as many points as fit."""
     import drjit as dr
 
     mi, width, channels, cache = task.mi, dr.width(points.t), field.channels, field.cache
-    # One root for all points: neighbours err alike, so that interpolation sees smooth light.
-    keys = lane_keys(mi, dr.zeros(mi.UInt32, width), field.seed + 0x51)
+    fan = shared_fan(mi, field.rays, field.seed + 0x51)
     against = Against(field.views, field.lights.total)
-    arrived = hemisphere(task, points, keys, field.rays, channels, against, field.sure)
+    guess = None if cache is None else cache.guess
+    arrived = hemisphere(task, points, fan, channels, against, field.keep, guess)
     count = len(field.lights.albedo)
     later = np.zeros_like(field.lights.direct) if cache is None else cache.light[:, :count]
     one, rest, ones = gather(task, points, field.lights, later, channels, field.rays)
     if cache is None:
         return arrived.one_bounce + one, arrived.rest
     hits = arrived.hits
-    ones = ones + arrived.ones
-    scale = np.divide(met, ones, out=np.ones(width), where=ones > 0)
+    ones, scale = ones + arrived.ones, np.ones(width)
+    if met is not None:
+        np.divide(met, ones, out=scale, where=ones > 0)
     found = looked_up(task, cache, hits, width, channels, field.seed + 0xB1, field.follow)
-    rest = arrived.rest + scale * (rest + found)
+    rest = arrived.rest + scale * (rest + arrived.guessed + found)
     return arrived.one_bounce + one, rest
 
 
@@ -223,9 +230,9 @@ def _nearby(
         return []
     index = dr.arange(mi.UInt32, -(-width // max(1, width // SCOUTS))) * max(1, width // SCOUTS)
     scouts = dr.gather(mi.SurfaceInteraction3f, points, index)
-    keys = lane_keys(mi, index, seed + 0x33)
+    fan = own_fan(mi, FEWEST, lane_keys(mi, index, seed + 0x33))
     dark, none = task.without_flashes(), Channels(np.zeros(1), (True,))
-    hits = hemisphere(dark, scouts, keys, FEWEST, none, Against(views, total)).hits
+    hits = hemisphere(dark, scouts, fan, none, Against(views, total)).hits
     if not hits.weight.size:
         return []
     rng = np.random.default_rng(seed)

@@ -9,8 +9,11 @@ surface with density D (per area), both are weighted by the balance heuristic: a
 virtual lights bright spots, are left to rays, and nothing is clamped: energy is kept (E. Veach,
 1997, section 9.2.2; for virtual lights T. Kollig and A. Keller, "Illumination in the presence of
 weak singularities", 2004, recalled, which splits by a bound instead). What the rays hit is diffuse:
-its direct light is computed there, its indirect light is left to `_cache`. Surfaces that are not
-diffuse are followed, by their own scattering, until a diffuse one is met.
+its direct light is computed there, its indirect light is left to `_cache`, for a few of the hits
+that stand for all. Surfaces that are not diffuse are followed (`_followed`).
+
+Lanes are points, and all look in the same direction at a time, so that their rays run side by side;
+the few hits that are kept are traced again.
 """
 
 from dataclasses import dataclass
@@ -18,21 +21,19 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._flash import flash_light
+from toftools.sim._fan import Fan
+from toftools.sim._followed import followed
 from toftools.sim._hits import Hits, joined, no_hits
-from toftools.sim._phasors import C128, cycles_per_m, turn
+from toftools.sim._light_map import LightMap, row_of
+from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
-from toftools.sim._sobol import hashed, pair, single
+from toftools.sim._sweep import Against, away_of, swept
 from toftools.sim._task import Jit, Task, next_hit
-from toftools.sim._viewpoints import Viewpoint, density
-from toftools.sim._views import MAX_LANES
 from toftools.sim._virtual import Channels
 from toftools.types import F64
 
-LONGEST = 32
-"""Surfaces in a row that are not diffuse."""
-SURE = 0.3
-"""Weight from which a hit is kept for sure; others stay by chance."""
+MOST_RAYS = 1 << 21
+"""Rays at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,9 @@ class Arrived:
     one_bounce, rest : ndarray, (C, W), complex128
         Direct light of first hits, and of what was met by way of others.
     hits : Hits
-        Places whose indirect light is still missing.
+        Places whose indirect light is still missing, point by point.
+    guessed : ndarray, (C, W), complex128
+        Indirect light of hits, roughly.
     ones : ndarray, (W,)
         What radiance 1 of all diffuse surfaces would give.
     """
@@ -52,33 +55,18 @@ class Arrived:
     one_bounce: C128
     rest: C128
     hits: Hits
+    guessed: C128
     ones: F64
-
-
-@dataclass(frozen=True, eq=False)
-class Against:
-    """Virtual lights that sample the same light.
-
-    Parameters
-    ----------
-    views : tuple of Viewpoint
-        From where they were put on surfaces.
-    total : int
-        Directions drawn.
-    """
-
-    views: tuple[Viewpoint, ...]
-    total: int
 
 
 def hemisphere(
     task: Task,
     points: Jit,
-    keys: Jit,
-    rays: int,
+    fan: Fan,
     channels: Channels,
     against: Against | None = None,
-    sure: float = SURE,
+    keep: int | None = None,
+    guess: LightMap | None = None,
 ) -> Arrived:
     """Send rays from diffuse points.
 
@@ -88,16 +76,17 @@ def hemisphere(
         Scene and sources.
     points : SurfaceInteraction3f, (W,)
         Diffuse points; others get nothing.
-    keys : UInt32, (W,)
-        Root of every point's random numbers; the same root gives the same directions.
-    rays : int
-        Rays of each point, a power of two for full stratification.
+    fan : Fan
+        Rays of every point.
     channels : Channels
         What is summed up.
     against : Against or None
         Virtual lights to be weighted against; None leaves all to the rays.
-    sure : float
-        Weight from which a hit is kept for sure; others stay by chance, with more weight.
+    keep : int or None
+        Diffuse hits of a point that are kept, about, by chance those with more weight; None for
+        all. With 0, surfaces that are not diffuse are not followed either.
+    guess : LightMap or None
+        Indirect light of diffuse hits, roughly, which hits that are kept say they have counted.
 
     Returns
     -------
@@ -107,157 +96,114 @@ def hemisphere(
     import drjit as dr
 
     mi, width = task.mi, dr.width(points.t)
-    step = max(1, MAX_LANES // rays)
-    parts = []
+    step, parts = max(1, MOST_RAYS // fan.rays), []
     for start in range(0, width, step):
-        index = dr.arange(mi.UInt32, min(step, width - start)) + start
-        some = dr.gather(mi.SurfaceInteraction3f, points, index)
-        part = _part(task, some, dr.gather(mi.UInt32, keys, index), rays, channels, against, sure)
-        part.hits.lane[:] += start
-        parts.append(part)
+        lanes = dr.arange(mi.UInt32, min(step, width - start)) + start
+        first = swept(task, points, lanes, fan, channels, against, guess)
+        lane, ray, weight = _thinned(first.shares, fan.offset, keep)
+        rest, hits = _met(task, points, (lane + start, ray, weight), fan, channels, guess)
+        rest = rest[:, start : start + first.ones.size]
+        parts.append(Arrived(first.one_bounce, rest, hits, first.guessed, first.ones))
     if not parts:
         blank = np.zeros((len(channels.freqs_hz), 0), np.complex128)
-        return Arrived(blank, blank, no_hits(), np.zeros(0))
+        return Arrived(blank, blank, no_hits(), blank, np.zeros(0))
     return Arrived(
         np.concatenate([part.one_bounce for part in parts], axis=1),
         np.concatenate([part.rest for part in parts], axis=1),
         joined([part.hits for part in parts]),
+        np.concatenate([part.guessed for part in parts], axis=1),
         np.concatenate([part.ones for part in parts]),
     )
 
 
-def _part(
+def _thinned(shares: Any, offset: float, keep: int | None) -> tuple[Any, Any, F64]:  # noqa: ANN401
+    """Points and rays of the hits that are kept, and their weight; at equal steps of the sum."""
+    other = shares < 0
+    if keep == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    share = np.where(other, 0.0, shares).astype(np.float64)
+    if keep is None:
+        chance = (share > 0).astype(np.float64)
+    else:
+        step = share.sum(axis=1, keepdims=True) / keep
+        chance = np.minimum(1.0, np.divide(share, step, out=np.zeros_like(share), where=step > 0))
+    ticks = np.floor(chance.cumsum(axis=1) + offset)
+    kept = np.diff(ticks, axis=1, prepend=0.0) > 0
+    weight = np.divide(share, chance, out=np.ones_like(share), where=chance > 0)
+    lane, ray = np.nonzero(kept | other)
+    return lane, ray, np.where(other, 1.0, weight)[lane, ray]
+
+
+def _met(
     task: Task,
     points: Jit,
-    keys: Jit,
-    rays: int,
+    picked: tuple[Any, Any, F64],
+    fan: Fan,
     channels: Channels,
-    against: Against | None,
-    sure: float,
-) -> Arrived:
-    """Rays of as many points as fit at a time; lanes are point-major."""
+    guess: LightMap | None,
+) -> tuple[C128, Hits]:
+    """What picked rays of points meet: light by way of surfaces that are not diffuse, and hits."""
     import drjit as dr
 
-    mi, stage, width = task.mi, task.stage, dr.width(points.t)
-    lane, each = dr.arange(mi.UInt32, width * rays), dr.opaque(mi.UInt32, rays)
-    index, number = lane // each, lane % each
-    si = dr.gather(mi.SurfaceInteraction3f, points, index)
-    key = dr.gather(mi.UInt32, keys, index)
-    up, active = up_of(si), scatters_alike(mi, si)
-    square = pair(mi, number, hashed(mi, key + 2), mi.UInt32(0))
-    away = mi.Frame3f(up).to_world(mi.warp.square_to_cosine_hemisphere(square))
-    nearby = next_hit(task, si, away, active)
-    diffuse = active & scatters_alike(mi, nearby)
-    facing = up_of(nearby)
-    far_m = dr.select(nearby.is_valid(), nearby.t * stage.unit_m, 1.0)
-    share = dr.select(diffuse, mi.Float(1), 0.0)
-    if against is not None:
-        x = dr.opaque(mi.Float, rays) * dr.dot(up, away) * -dr.dot(facing, away)
-        x *= dr.inv_pi / dr.square(far_m)
-        dense = density(task, against.views, against.total, nearby.p, facing, diffuse)
-        share = dr.select(diffuse, x / (dense + x), 0.0)
-    hit = active & nearby.is_valid()
-    weight = dr.select(diffuse, share, mi.Float(1))
-    one = _lit(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
-    stay = dr.minimum(weight / dr.opaque(mi.Float, max(sure, 1e-6)), 1.0)
-    hit &= single(mi, number, hashed(mi, key + 7)) < stay
-    weight = dr.select(hit, weight / stay, 0.0)
-    straight = hit & diffuse
-    begin = (nearby, hit & ~straight, weight, far_m, mi.Float(1))
-    rest, end, weight, length_m = _followed(task, begin, (number, key), channels)
-    dr.eval(one, rest, share, weight, length_m, end, straight)
-    hits = _hits(mi, dr.compress(weight > 0), (index, end, weight / rays, length_m, straight))
-    total = [np.stack([_mean(part, rays) for part in light]) for light in (one, rest)]
-    ones = np.asarray(dr.block_sum(share, rays).numpy(), np.float64) / rays
-    return Arrived(total[0], total[1], hits, ones)
+    mi, (lane, ray, weight) = task.mi, picked
+    width, kinds = dr.width(points.t), len(channels.freqs_hz)
+    rest = np.zeros((kinds, width), np.complex128)
+    if not lane.size:
+        return rest, no_hits()
+    lanes, number = (mi.UInt32(x.astype(np.uint32)) for x in (lane, ray))
+    si = dr.gather(mi.SurfaceInteraction3f, points, lanes)
+    nearby = next_hit(task, si, away_of(mi, up_of(si), fan.square(number, lanes)), mi.Bool(True))
+    straight, valid = scatters_alike(mi, nearby), nearby.is_valid()
+    far_m = nearby.t * task.stage.unit_m
+    share = mi.Float((weight / fan.rays).astype(np.float32))
+    dr.eval(nearby, straight, valid, far_m, share)
+    hits = [_hits(mi, dr.compress(straight), lanes, nearby, share, far_m, guess)]
+    other: Jit = dr.compress(valid & ~straight)
+    if dr.width(other):
+        some = dr.gather(mi.UInt32, lanes, other)
+        start = [dr.gather(kind, x, other) for kind, x in (
+            (mi.SurfaceInteraction3f, nearby), (mi.Float, share), (mi.Float, far_m))]  # fmt: skip
+        draw = (dr.gather(mi.UInt32, number, other), fan.key(some))
+        light, end, share, far_m = followed(task, (*start, mi.Float(1)), draw, channels)
+        dr.eval(light, end, share, far_m)
+        hits.append(_hits(mi, dr.compress(share > 0), some, end, share, far_m, None))
+        mine = np.asarray(some.numpy(), np.int64)
+        for row, (real, imaginary) in zip(rest, light, strict=True):
+            row += np.bincount(mine, real.numpy(), width)
+            row += 1j * np.bincount(mine, imaginary.numpy(), width)
+    return rest, joined(hits)
 
 
-def _mean(part: tuple[Jit, ...], rays: int) -> C128:
-    """Mean over the rays of every point of one complex channel."""
-    import drjit as dr
-
-    real, imaginary = (np.asarray(dr.block_sum(x, rays).numpy(), np.float64) for x in part)
-    return np.asarray((real + 1j * imaginary) / rays)
-
-
-def _hits(mi: Any, kept: Jit, what: tuple[Jit, ...]) -> Hits:  # noqa: ANN401
+def _hits(
+    mi: Any,  # noqa: ANN401
+    kept: Jit,
+    lanes: Jit,
+    at: Jit,
+    share: Jit,
+    length_m: Jit,
+    guess: LightMap | None,
+) -> Hits:
     """Kept lanes in numpy."""
     import drjit as dr
 
     if not dr.width(kept):
         return no_hits()
-    index, end, weight, length_m, straight = what
-    at = dr.gather(mi.SurfaceInteraction3f, end, kept)
+    at = dr.gather(mi.SurfaceInteraction3f, at, kept)
     normal = up_of(at)
     dr.eval(at, normal)
+    guessed = np.full(dr.width(kept), -1)
+    if guess is not None:
+        guessed = np.asarray(row_of(mi, guess, at.p, normal, mi.Bool(True)).numpy(), np.int64)
 
     def taken(kind: Any, values: Jit) -> Any:  # noqa: ANN401
         return dr.gather(kind, values, kept).numpy()
 
     return Hits(
-        lane=np.asarray(taken(mi.UInt32, index), np.int64),
+        lane=np.asarray(taken(mi.UInt32, lanes), np.int64),
         p=np.asarray(at.p.numpy(), np.float64).reshape(3, -1),
         n=np.asarray(normal.numpy(), np.float64).reshape(3, -1),
-        weight=np.asarray(taken(mi.Float, weight), np.float64),
+        weight=np.asarray(taken(mi.Float, share), np.float64),
         length_m=np.asarray(taken(mi.Float, length_m), np.float64),
-        straight=np.asarray(taken(mi.Bool, straight), bool),
+        guessed=guessed,
         at=[at],
     )
-
-
-def _lit(
-    task: Task, si: Jit, active: Jit, weight: Jit, path_m: Jit, channels: Channels, ior: Jit = 1.0
-) -> list[tuple[Jit, Jit]]:
-    """Direct light of surfaces, turned by the way to the viewer, by channel."""
-    mi = task.mi
-    sums = [(mi.Float(0), mi.Float(0)) for _ in channels.modulated]
-    cycles = cycles_per_m(channels.freqs_hz)
-    for flash in task.flashes:
-        value, far_m = flash_light(mi, task.stage, flash, si, active & (weight > 0), ior=ior)
-        light = value * weight
-        for i, (cycle, modulated) in enumerate(zip(cycles, channels.modulated, strict=True)):
-            if modulated == flash.modulated:
-                turns = (*turn(mi, cycle, path_m + far_m), mi.Float(0))
-                sums[i] = (sums[i][0] + light * turns[0], sums[i][1] + light * turns[1])
-    return sums
-
-
-def _followed(
-    task: Task, begin: tuple[Jit, ...], draw: tuple[Jit, Jit], channels: Channels
-) -> tuple[Jit, Jit, Jit, Jit]:
-    """Rays scattered on to the first diffuse surface, and the light on the way.
-
-    Returned are that light, the last surface, the weight of the ray there (0 if there is none) and
-    the way to it; lanes that do not start keep what they have.
-    """
-    import drjit as dr
-
-    mi, (number, key) = task.mi, draw
-
-    def body(active: Jit, step: Jit, at: Jit, state: Jit, rest: Jit) -> tuple[Jit, ...]:
-        weight, length_m, ior = state
-        seed = hashed(mi, key + hashed(mi, 4 * step + 0x1001))
-        lobe, square = single(mi, number, seed), pair(mi, number, seed, mi.UInt32(1))
-        sample, value = at.bsdf().sample(mi.BSDFContext(), at, lobe, square, active)
-        ior = dr.select(active, ior * sample.eta, ior)
-        nearby = next_hit(task, at, at.to_world(sample.wo), active & (value[0] > 0))
-        hit = active & (value[0] > 0) & nearby.is_valid()
-        weight = dr.select(active, dr.select(hit, weight * value[0], 0.0), weight)
-        far_m = nearby.t * task.stage.unit_m
-        length_m = length_m + dr.select(hit, ior * far_m, 0.0)
-        light = _lit(task, nearby, hit, weight, length_m, channels, ior)
-        rest = [(a + c, b + d) for (a, b), (c, d) in zip(rest, light, strict=True)]
-        ended = hit & scatters_alike(mi, nearby)
-        at = dr.select(hit, nearby, at)
-        return hit & ~ended & (step < LONGEST), step + 1, at, (weight, length_m, ior), rest
-
-    at, active, weight, length_m, ior = begin
-    lanes = dr.width(at.t)
-    zeros = [(dr.zeros(mi.Float, lanes), dr.zeros(mi.Float, lanes)) for _ in channels.modulated]
-    state = (weight, length_m, ior + dr.zeros(mi.Float, lanes))
-    start = (active, dr.zeros(mi.UInt32, lanes), at, state, zeros)
-    _, step, end, (weight, length_m, _), rest = dr.while_loop(
-        start, lambda active, *_: active, body
-    )
-    # Who was given up after the most surfaces brings nothing more.
-    return rest, end, dr.select(step > LONGEST, 0.0, weight), length_m

@@ -23,8 +23,8 @@ class Hits:
         Share of the point's mean radiance.
     length_m : ndarray, (K,)
         Optical way from the point, m.
-    straight : ndarray of bool, (K,)
-        Whether nothing lies between.
+    guessed : ndarray of int, (K,)
+        Row of `LightMap.light` that has been counted in its stead; -1 is dark.
     at : list of SurfaceInteraction3f
         The places, part by part.
     """
@@ -34,14 +34,22 @@ class Hits:
     n: F64
     weight: F64
     length_m: F64
-    straight: Any
+    guessed: Any
     at: list[Jit]
 
 
 def no_hits() -> Hits:
     """Hits of no ray."""
     none = np.zeros(0)
-    return Hits(none.astype(np.int64), np.zeros((3, 0)), np.zeros((3, 0)), none, none, none > 0, [])
+    return Hits(
+        none.astype(np.int64),
+        np.zeros((3, 0)),
+        np.zeros((3, 0)),
+        none,
+        none,
+        none.astype(np.int64),
+        [],
+    )
 
 
 def joined(parts: list[Hits]) -> Hits:
@@ -57,7 +65,7 @@ def joined(parts: list[Hits]) -> Hits:
     Hits
         All of them.
     """
-    names = ("lane", "p", "n", "weight", "length_m", "straight")
+    names = ("lane", "p", "n", "weight", "length_m", "guessed")
     rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
     return Hits(**rows, at=[si for part in parts for si in part.at])
 
@@ -83,6 +91,6 @@ def some(hits: Hits, which: Any) -> Hits:  # noqa: ANN401 - bools
         n=hits.n[:, which],
         weight=hits.weight[which],
         length_m=hits.length_m[which],
-        straight=hits.straight[which],
+        guessed=hits.guessed[which],
         at=[],
     )

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._field import arriving, light_field, share_met
+from toftools.sim._field import Field, arriving, light_field, share_met
 from toftools.sim._image import Order
 from toftools.sim._phasors import C128
 from toftools.sim._placing import placed
 from toftools.sim._seen import points_at, seen
 from toftools.sim._sparse import Plan
-from toftools.sim._task import Jit, Task
+from toftools.sim._task import Task
 from toftools.sim._viewpoints import viewpoints
 from toftools.sim._virtual import channels_of
 from toftools.sim._wanted import Wanted, errors_of, lit_of, pixels_of, pooled, wrong_m
@@ -29,13 +29,15 @@ log = logging.getLogger(__name__)
 REPLICATES = 4
 FIRST, MOST = 1024, 1 << 16
 """Virtual lights of an estimate in the first round, and at the most."""
-FALL = 0.65
+FALL = 0.75
 """Exponent with which the error falls with the number of virtual lights, as measured."""
-NOISE, ENOUGH = 0.6, 0.75
+NOISE, ENOUGH = 0.5, 0.65
 """Shares of the tolerance at which scatter is aimed, and with which it is content."""
 ROUNDS = 3
 AUDIT, PILOTS = 768, 4
 """Rounds at the most; points that measure errors, and rounds at those alone."""
+FEWEST_OPEN = 1024
+"""Rays that tell how open the scene is from a point, at the least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,29 +92,30 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
     scene = Wanted(task, order, what, views, channels, fine.reshape(len(direct), -1), bounces)
     plan = placed(scene)
     log.info("gathered at %d of %d points", plan.pixels.size, what.diffuse.sum())
-    apart = _audited(scene)
-    total = order.samples or _enough(scene, plan, apart)
-    rounds = 0
+    apart, rounds = _audited(scene), 0
+    fields, few = _enough(scene, plan, apart)
     while True:
-        number = np.concatenate([plan.pixels, apart])
-        runs, lights = _runs(scene, plan, number, total, 100 + rounds)
-        mean, rounds = runs.mean(axis=0), rounds + 1
-        error_m = errors_of(scene, plan, runs[..., : plan.pixels.size].sum(axis=1)[:, order.used])
+        total = fields[0].lights.total
+        runs, rounds = _runs(scene, fields, plan.pixels), rounds + 1
+        error_m = errors_of(scene, plan, runs.sum(axis=1)[:, order.used])
         lit = lit_of(scene)
         reached_m = float(np.sqrt(np.mean(error_m[lit] ** 2))) if lit.any() else 0.0
         log.info("%d virtual lights, standard error %.2f mm rms", total, 1e3 * reached_m)
         done = order.samples is not None or total >= MOST or rounds == ROUNDS
         if done or reached_m <= ENOUGH * order.tol_m:
             break
-        total = _more(total, reached_m, order.tol_m)
-    found_m = _between(scene, plan, apart, mean.sum(axis=0)[order.used])
+        fields = _fields(scene, plan, _more(total, reached_m, order.tol_m), PILOTS + rounds)
+        few = _runs(scene, fields, apart)
+    mean = runs.mean(axis=0)
+    found_m = _between(scene, plan, apart, *(x.mean(axis=0).sum(axis=0) for x in (runs, few)))
+    lights = sum(len(field.lights.albedo) for field in fields)
     return _made(scene, replace(plan, error_m=found_m), mean, error_m, (lights, reached_m))
 
 
 def _more(total: int, reached_m: float, tol_m: float) -> int:
-    """Virtual lights that will do, by how the error falls."""
-    more = (reached_m / (NOISE * tol_m)) ** (1 / FALL)
-    return int(min(MOST, total * np.clip(1.1 * more, 1.3, 16)))
+    """Virtual lights that will do, by how the error falls: powers of two, for stratification."""
+    more = np.clip((reached_m / (NOISE * tol_m)) ** (1 / FALL), 2, 16)
+    return int(min(MOST, 2 ** round(np.log2(total * more))))
 
 
 def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
@@ -122,64 +125,58 @@ def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
     return np.sort(rng.choice(able, min(AUDIT, able.size), replace=False))
 
 
-def _enough(scene: Wanted, plan: Plan, apart: Any) -> int:  # noqa: ANN401 - ints
-    """Virtual lights that reach the tolerance at some points."""
-    total, used = FIRST, scene.order.used
-    for rounds in range(PILOTS):
-        runs, _ = _runs(scene, plan, apart, total, rounds)
-        each = runs.sum(axis=1)[:, used]
+def _enough(scene: Wanted, plan: Plan, apart: Any) -> tuple[list[Field], C128]:  # noqa: ANN401
+    """Fields that reach the tolerance at some points, and what they tell there."""
+    total, rounds = scene.order.samples or FIRST, 0
+    while True:
+        fields, rounds = _fields(scene, plan, total, rounds), rounds + 1
+        runs = _runs(scene, fields, apart)
+        if scene.order.samples is not None:
+            return fields, runs
+        each = runs.sum(axis=1)[:, scene.order.used]
         mean = each.mean(axis=0)
         wrong = wrong_m(scene, each - mean, mean, apart)
         reached_m = float(np.sqrt(np.sum(wrong**2) / apart.size / (len(each) - 1) / len(each)))
         log.info("%d virtual lights, %.2f mm rms at %d points", total, 1e3 * reached_m, apart.size)
-        if reached_m <= NOISE * scene.order.tol_m or total >= MOST:
-            break
+        if reached_m <= ENOUGH * scene.order.tol_m or total >= MOST or rounds == PILOTS:
+            return fields, runs
         total = _more(total, reached_m, scene.order.tol_m)
-    return total
 
 
-def _between(scene: Wanted, plan: Plan, apart: Any, mean: C128) -> float:  # noqa: ANN401 - ints
+def _between(scene: Wanted, plan: Plan, apart: Any, gathered: C128, few: C128) -> float:  # noqa: ANN401
     """Error of interpolation, rms over all points, m: what audited ones have gathered tells."""
-    count = plan.pixels.size
-    told = (plan.matrix[apart] @ mean[:, :count].T).T
+    if not apart.size:
+        return 0.0
+    told, here = (plan.matrix[apart] @ gathered.T).T, scene.order.used
     fresh = ~np.isin(apart, plan.pixels)
-    wrong = wrong_m(scene, told - mean[:, count:], mean[:, count:], apart)
-    return float(np.sqrt(np.mean((wrong * fresh) ** 2))) if apart.size else 0.0
+    wrong = wrong_m(scene, (told - few)[here], few[here], apart)
+    return float(np.sqrt(np.mean((wrong * fresh) ** 2)))
 
 
-def _runs(
-    scene: Wanted,
-    plan: Plan,
-    number: Any,  # noqa: ANN401 - ints
-    total: int,
-    rounds: int,
-) -> tuple[C128, int]:
-    """Independent estimates at points, (P, 2, C, S), and their virtual lights."""
+def _fields(scene: Wanted, plan: Plan, total: int, rounds: int) -> list[Field]:
+    """Independent fields of virtual lights."""
     places = points_at(scene.task, scene.what, plan.pixels)
+    seeds = (scene.order.seed * 0x10001 + rounds * REPLICATES + i + 1 for i in range(REPLICATES))
+    return [
+        light_field(scene.task, scene.views, scene.channels, places, total, scene.bounces,
+                    seed * 0x9E3779B1 % (1 << 31))
+        for seed in seeds
+    ]  # fmt: skip
+
+
+def _runs(scene: Wanted, fields: list[Field], number: Any) -> C128:  # noqa: ANN401 - ints
+    """Light of one and of more bounces that each field brings to points, (P, 2, C, S)."""
     points = points_at(scene.task, scene.what, number)
-    met = share_met(scene.task, points, scene.order.seed)
-    runs = [
-        _run(scene, places, (points, met), total, rounds * REPLICATES + i)
-        for i in range(REPLICATES)
-    ]
-    return np.stack([run for run, _ in runs]), sum(lights for _, lights in runs)
-
-
-def _run(
-    scene: Wanted, places: Jit, points: tuple[Jit, F64], total: int, number: int
-) -> tuple[C128, int]:
-    """One estimate of one and more bounces at points, (2, C, S)."""
-    seed = (scene.order.seed * 0x10001 + number + 1) * 0x9E3779B1 % (1 << 31)
-    field = light_field(scene.task, scene.views, scene.channels, places, total, scene.bounces, seed)
-    return np.stack(arriving(scene.task, field, *points)), len(field.lights.albedo)
+    rays = max(FEWEST_OPEN, fields[0].lights.total // 4)
+    met = share_met(scene.task, points, 1 << (rays - 1).bit_length(), scene.order.seed)
+    return np.stack([np.stack(arriving(scene.task, field, points, met)) for field in fields])
 
 
 def _made(
     scene: Wanted, plan: Plan, mean: C128, error_m: F64, facts: tuple[int, float]
 ) -> Indirect:
     kinds, (lights, reached_m) = len(scene.order.freqs_hz), facts
-    gathered = mean[..., : plan.pixels.size]
-    one, rest = (pixels_of(scene, plan, part, scene.channels.freqs_hz) for part in gathered)
+    one, rest = (pixels_of(scene, plan, part, scene.channels.freqs_hz) for part in mean)
     told = {
         "virtual_lights": lights,
         "viewpoints": len(scene.views),

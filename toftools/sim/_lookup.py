@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._cache import Cache, applied, lookups, nearest
+from toftools.sim._cache import Cache, nearest, radiance
+from toftools.sim._fan import own_fan
 from toftools.sim._hemisphere import hemisphere
-from toftools.sim._hits import Hits, some
+from toftools.sim._hits import Hits
 from toftools.sim._phasors import C128
 from toftools.sim._task import Jit, Task
 from toftools.sim._tracer import lane_keys
@@ -61,25 +62,47 @@ def looked_up(
     near = nearest(cache, hits)
     ways = hits.length_m / task.stage.unit_m
     coarse = (near[0][:, 0] > COARSE * ways) & (deepest > 0)
-    fine = ~coarse
-    kept = lookups(cache, some(hits, fine), (near[0][fine], near[1][fine]), lanes, channels)
-    light = applied(kept, cache.light)
-    if not coarse.any():
-        return light
+    light = radiance(cache, cache.light, near)
+    if coarse.any():
+        light[:, coarse] = _further(task, cache, hits, coarse, channels, seed, deepest)
+    if cache.guess is not None:
+        light -= cache.guess.light[:, hits.guessed]
+    return _arriving(hits, light, lanes, channels)
+
+
+def _further(
+    task: Task,
+    cache: Cache,
+    hits: Hits,
+    coarse: Any,  # noqa: ANN401 - bools
+    channels: Channels,
+    seed: int,
+    deepest: int,
+) -> C128:
+    """Light of some hits by rays of their own, (C, n)."""
     found, start = [], 0
     for at in _surfaces(task, hits, np.flatnonzero(coarse)):
-        number = _lanes(task, at) + start
-        start += len(albedo_of(task, at))
-        arrived = hemisphere(task, at, lane_keys(task.mi, number, seed), FURTHER, channels)
-        width = arrived.one_bounce.shape[1]
+        number, albedo = _lanes(task, at) + start, albedo_of(task, at)
+        start += len(albedo)
+        fan = own_fan(task.mi, FURTHER, lane_keys(task.mi, number, seed))
+        arrived = hemisphere(task, at, fan, channels)
+        width = len(albedo)
         later = looked_up(task, cache, arrived.hits, width, channels, seed + 1, deepest - 1)
-        found.append(albedo_of(task, at) * (arrived.one_bounce + arrived.rest + later))
-    more = hits.weight[coarse] * np.concatenate(found, axis=1)
-    for row, values, freq_hz in zip(light, more, channels.freqs_hz, strict=True):
-        turned = values * np.exp(1j * path_to_phase(hits.length_m[coarse], float(freq_hz)))
-        row += np.bincount(hits.lane[coarse], turned.real, lanes)
-        row += 1j * np.bincount(hits.lane[coarse], turned.imag, lanes)
-    return light
+        found.append(albedo * (arrived.one_bounce + arrived.rest + later))
+    return np.concatenate(found, axis=1)
+
+
+def _arriving(hits: Hits, light: C128, lanes: int, channels: Channels) -> C128:
+    """Sums over the hits of each point, phases turned by the way."""
+    sums, turns = np.empty((len(light), lanes), np.complex128), {}
+    for row, values, freq_hz in zip(sums, light, channels.freqs_hz, strict=True):
+        if freq_hz not in turns:
+            phase = path_to_phase(hits.length_m, float(freq_hz))
+            turns[freq_hz] = hits.weight * np.exp(1j * phase)
+        turned = values * turns[freq_hz]
+        row[:] = np.bincount(hits.lane, turned.real, lanes)
+        row += 1j * np.bincount(hits.lane, turned.imag, lanes)
+    return sums
 
 
 def _lanes(task: Task, at: Jit) -> Jit:

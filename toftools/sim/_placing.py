@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._field import arriving, light_field, share_met
+from toftools.sim._field import arriving, light_field
 from toftools.sim._phasors import C128
 from toftools.sim._seen import points_at
 from toftools.sim._sparse import Plan, Surface, place
@@ -48,11 +48,10 @@ def placed(scene: Wanted) -> Plan:
             field = light_field(
                 task, scene.views, scene.channels, points, PLACING, scene.bounces, seed
             )
-            met = share_met(task, points, seed)
-            one, rest = (light[used] for light in arriving(task, field, points, met))
+            one, rest = (light[used] for light in arriving(task, field, points))
             known["one"], known["all"] = _roughly(scene, number, one, one + rest)
-            known["field"] = replace(field, cache=None, sure=1.0)
-        one, _ = arriving(task, known["field"], points, np.ones(len(number)))
+            known["field"] = replace(field, cache=None, keep=0)
+        one, _ = arriving(task, known["field"], points)
         return np.asarray(one[used])
 
     def errors_m(delta: C128, number: Any) -> F64:  # noqa: ANN401 - ints

@@ -198,7 +198,9 @@ def split(
     count = np.isfinite(squares).sum(axis=1)
     count = count + np.bincount(hosts, np.isfinite(extra), len(squares))
     total = np.nansum(squares, axis=1) + np.bincount(hosts, np.nan_to_num(extra) ** 2, len(squares))
-    made = _expecting(made, base, np.sqrt(total / np.where(count > 0, count, np.nan)))
+    worst = np.sqrt(np.fmax.reduce(squares, axis=1))
+    worst = np.where(_mixed(ground, made)[base:], worst, np.nan)
+    made = _expecting(made, base, np.sqrt(total / np.where(count > 0, count, np.nan)), worst)
     return _warned(made, middles, cells.step[owners], error[middles], ground.shape), picked
 
 
@@ -214,13 +216,25 @@ def _warned(cells: Cells, pixels: Ints, step: Ints, error_m: F64, shape: tuple[i
     return replace(cells, error_m=worst)
 
 
-def _expecting(cells: Cells, base: int, seen_m: F64) -> Cells:
+def _mixed(ground: Ground, cells: Cells) -> Bool:
+    """Cells with pixels of several kinds of surface, (K,)."""
+    pixels = np.flatnonzero(ground.valid)
+    home, kind = cells.home[pixels], ground.kind[pixels]
+    least = np.full(len(cells.y), np.iinfo(np.int64).max)
+    most = np.full(len(cells.y), -1)
+    np.minimum.at(least, home, kind)
+    np.maximum.at(most, home, kind)
+    return np.asarray(most > least)
+
+
+def _expecting(cells: Cells, base: int, seen_m: F64, least_m: F64) -> Cells:
     """Cells from `base` on with what was seen of them, and what that lets expect."""
     before, expected = cells.seen_m[base:], cells.error_m[base:]
     decay = np.full(len(seen_m), SMOOTH)
     np.divide(seen_m, before, out=decay, where=(before > 0) & np.isfinite(seen_m))
     found = np.isfinite(seen_m)
     expected = np.where(found, seen_m * np.clip(decay, SMOOTH, 1.0), expected)
+    expected = np.fmax(expected, least_m)
     seen = np.concatenate([cells.seen_m[:base], np.where(found, seen_m, before)])
     error = np.concatenate([cells.error_m[:base], expected])
     return replace(cells, seen_m=seen, error_m=error)

@@ -1,0 +1,102 @@
+"""Directions of rays from diffuse points: those of each point its own, or the same for all."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from toftools.sim._sobol import hashed, pair
+from toftools.sim._task import Jit
+
+BITS = 12
+"""Of a coordinate on the curve that orders directions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """Where the rays of points go.
+
+    Parameters
+    ----------
+    rays : int
+        Rays of each point, a power of two for full stratification.
+    square : callable
+        From numbers of rays and of points to points of the unit square.
+    key : callable
+        From numbers of points to roots of other random numbers.
+    offset : float
+        Chance, in [0, 1), by which hits are picked.
+    """
+
+    rays: int
+    square: Callable[[Jit, Jit], Jit]
+    key: Callable[[Jit], Jit]
+    offset: float
+
+
+def own_fan(mi: Any, rays: int, keys: Jit) -> Fan:  # noqa: ANN401 - the module mitsuba
+    """Every point has its own low-discrepancy sequence.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    rays : int
+        Their number.
+    keys : UInt32, (W,)
+        Root of every point's random numbers.
+
+    Returns
+    -------
+    Fan
+        Directions.
+    """
+    import drjit as dr
+
+    def key(lane: Jit) -> Jit:
+        return dr.gather(mi.UInt32, keys, lane)
+
+    def square(number: Jit, lane: Jit) -> Jit:
+        return pair(mi, number, hashed(mi, key(lane) + 2), mi.UInt32(0))
+
+    return Fan(rays, square, key, 0.5)
+
+
+def shared_fan(mi: Any, rays: int, seed: int) -> Fan:  # noqa: ANN401 - the module mitsuba
+    """All points have the same directions, so that neighbours err alike; near ones come in a row.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    rays : int
+        Their number.
+    seed : int
+        Of the sequence.
+
+    Returns
+    -------
+    Fan
+        Directions.
+    """
+    import drjit as dr
+
+    root = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+    found = pair(mi, dr.arange(mi.UInt32, rays), hashed(mi, root + 2), mi.UInt32(0))
+    rows = np.asarray(found.numpy(), np.float32).reshape(2, -1)
+    table = mi.Point2f(rows[:, np.argsort(_curve(rows), kind="stable")])
+    dr.eval(table, root)
+    rng = np.random.default_rng(seed)
+
+    def square(number: Jit, _: Jit) -> Jit:
+        return dr.gather(mi.Point2f, table, number)
+
+    return Fan(rays, square, lambda _: root, rng.random())
+
+
+def _curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
+    """Place of points of the unit square on a curve of Morton's, which keeps near points near."""
+    bits = (rows * (1 << BITS)).astype(np.int64)
+    levels = (((bits >> level) & 1) << (2 * level) for level in range(BITS))
+    return sum(x | y << 1 for x, y in levels)
