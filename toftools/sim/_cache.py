@@ -13,29 +13,32 @@ energy is kept to the noise of the rays. Nearest places are told by position and
 of a look-up falls with the spacing of the cache, which is why it holds many places with few rays.
 """
 
+import logging
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import own_fan
+from toftools.sim._fan import along_curve, turned_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits, joined
 from toftools.sim._light_map import LightMap, light_map
 from toftools.sim._phasors import C128
 from toftools.sim._second import up_of
 from toftools.sim._task import Jit, Task
-from toftools.sim._tracer import lane_keys
 from toftools.sim._virtual import Channels, albedo_of
 from toftools.types import F64
 from toftools.units import path_to_phase
 
-RAYS = 64
+log = logging.getLogger(__name__)
+
+RAYS = 32
 """Rays of each place."""
 NEAREST = 2
 STILL = 1e-6
-"""Relative change at which all bounces are done."""
-MOST = 2000
+"""Relative residual at which all bounces are done."""
+MOST = 50
+"""Steps of the solver before it starts anew, and how often it may."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,35 +99,75 @@ def solved(
     import drjit as dr
 
     mi, start, light, hits = task.mi, 0, [], []
-    for number, at in enumerate(sets):
-        lane = dr.arange(mi.UInt32, dr.width(at.t)) + start
-        keys = lane_keys(mi, lane, seed + number)
-        arrived = hemisphere(task, at, own_fan(mi, RAYS, keys), channels)
+    rank = ranks(sets)
+    for at in sets:
+        width = dr.width(at.t)
+        fan = turned_fan(mi, RAYS, rank[start : start + width], seed)
+        arrived = hemisphere(task, at, fan, channels)
         arrived.hits.lane[:] += start
-        start += dr.width(at.t)
+        start += width
         light.append(arrived.one_bounce + arrived.rest)
         hits.append(arrived.hits)
     tree, scale = _tree(sets, 2 * spacing)
     albedo = np.concatenate([albedo_of(task, at) for at in sets])
     once = np.concatenate(light, axis=1)
     empty = Cache(tree, scale, np.zeros_like(once), albedo, None)
-    steps = MOST if bounces is None else bounces
-    if steps == 0:
+    if bounces == 0:
         return empty
     every = joined(hits)
     near = nearest(empty, every)
     matrices = lookups(empty, every, near, start, channels)
-    later = once
-    for _ in range(steps - 1):
-        new = once + applied(matrices, albedo * later)
-        change = np.abs(new - later).max(initial=0.0)
-        later = new
-        if change <= STILL * np.abs(new).max(initial=0.0):
-            break
+    if bounces is None:
+        later = np.stack([_converged(m, albedo, x) for m, x in zip(matrices, once, strict=True)])
+    else:
+        later = once
+        for _ in range(bounces - 1):
+            later = once + applied(matrices, albedo * later)
     if not every.weight.size:
         return Cache(tree, scale, later, albedo, None)
-    guess = light_map(mi, every, radiance(empty, albedo * later, near), spacing)
+    looked_at = (_shares(empty, near[0]), near[1])
+    guess = light_map(mi, every, looked_at, albedo * later, spacing)
     return Cache(tree, scale, later, albedo, guess)
+
+
+def _converged(matrix: Any, albedo: F64, once: C128) -> C128:  # noqa: ANN401 - sparse
+    """Light of all bounces of one channel, by GMRES: the series is slow where it is bright."""
+    from scipy.sparse.linalg import LinearOperator, gmres
+
+    def left(light: C128) -> C128:
+        return np.asarray(light - matrix @ (albedo * light))
+
+    system = LinearOperator(matrix.shape, matvec=left, dtype=once.dtype)
+    light, failed = gmres(system, once, x0=once, rtol=STILL, restart=MOST, maxiter=MOST)
+    if failed:
+        log.warning("light of many bounces is not exact: try a darker scene")
+    return np.asarray(light)
+
+
+def ranks(sets: list[Jit]) -> Any:  # noqa: ANN401 - ints
+    """Places in a row along which neighbours on one side of a surface are near.
+
+    Parameters
+    ----------
+    sets : list of SurfaceInteraction3f
+        Places.
+
+    Returns
+    -------
+    ndarray of int, (K,)
+        Number of every place in the row.
+    """
+    p, n = (
+        np.concatenate([np.asarray(part.numpy()).reshape(3, -1) for part in parts], axis=1)
+        for parts in ([at.p for at in sets], [up_of(at) for at in sets])
+    )
+    low, size = p.min(axis=1, keepdims=True), np.ptp(p, axis=1).max()
+    axis = np.abs(n).argmax(axis=0)
+    side = 2 * axis + (np.take_along_axis(n, axis[None], 0)[0] > 0)
+    order = np.lexsort((along_curve((p - low) / max(size, np.finfo(np.float32).tiny)), side))
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return rank
 
 
 def _tree(sets: list[Jit], scale: float) -> tuple[Any, float]:

@@ -63,6 +63,42 @@ def own_fan(mi: Any, rays: int, keys: Jit) -> Fan:  # noqa: ANN401 - the module 
     return Fan(rays, square, key, 0.5)
 
 
+def turned_fan(mi: Any, rays: int, rank: Any, seed: int) -> Fan:  # noqa: ANN401 - mitsuba, ints
+    """Points that are near in rank have directions that complete each other.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    rays : int
+        Their number.
+    rank : ndarray of int, (W,)
+        Place of every point in a row in which neighbours are near; that part of one long sequence
+        is its own.
+    seed : int
+        Of the sequence.
+
+    Returns
+    -------
+    Fan
+        Directions.
+    """
+    import drjit as dr
+
+    root = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+    first = mi.UInt32((rank * rays).astype(np.uint32))
+    dr.eval(first)
+
+    def key(lane: Jit) -> Jit:
+        return hashed(mi, root + lane)
+
+    def square(number: Jit, lane: Jit) -> Jit:
+        index = dr.gather(mi.UInt32, first, lane) + number
+        return pair(mi, index, hashed(mi, root + 2), mi.UInt32(0))
+
+    return Fan(rays, square, key, 0.5)
+
+
 def shared_fan(mi: Any, rays: int, seed: int) -> Fan:  # noqa: ANN401 - the module mitsuba
     """All points have the same directions, so that neighbours err alike; near ones come in a row.
 
@@ -85,7 +121,7 @@ def shared_fan(mi: Any, rays: int, seed: int) -> Fan:  # noqa: ANN401 - the modu
     root = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     found = pair(mi, dr.arange(mi.UInt32, rays), hashed(mi, root + 2), mi.UInt32(0))
     rows = np.asarray(found.numpy(), np.float32).reshape(2, -1)
-    table = mi.Point2f(rows[:, np.argsort(_curve(rows), kind="stable")])
+    table = mi.Point2f(rows[:, np.argsort(along_curve(rows), kind="stable")])
     dr.eval(table, root)
     rng = np.random.default_rng(seed)
 
@@ -95,8 +131,22 @@ def shared_fan(mi: Any, rays: int, seed: int) -> Fan:  # noqa: ANN401 - the modu
     return Fan(rays, square, lambda _: root, rng.random())
 
 
-def _curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
-    """Place of points of the unit square on a curve of Morton's, which keeps near points near."""
-    bits = (rows * (1 << BITS)).astype(np.int64)
-    levels = (((bits >> level) & 1) << (2 * level) for level in range(BITS))
-    return sum(x | y << 1 for x, y in levels)
+def along_curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
+    """Places on a curve of Morton's, which keeps near points near.
+
+    Parameters
+    ----------
+    rows : ndarray, (D, N)
+        Coordinates from 0 to 1; D is 2 or 3.
+
+    Returns
+    -------
+    ndarray of int, (N,)
+        Numbers that order the points.
+    """
+    bits = np.minimum(rows * (1 << BITS), (1 << BITS) - 1).astype(np.int64)
+    found = np.zeros(bits.shape[1], np.int64)
+    for level in range(BITS):
+        for axis, row in enumerate(bits):
+            found |= ((row >> level) & 1) << (len(bits) * level + axis)
+    return found

@@ -15,7 +15,7 @@ from toftools.sim._cache import Cache, solved
 from toftools.sim._fan import own_fan, shared_fan
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import hemisphere
-from toftools.sim._lookup import DEEPEST, looked_up
+from toftools.sim._lookup import DEEPEST, looked_up, sharpened
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._sobol import hashed, pair
@@ -153,7 +153,10 @@ def light_field(
     spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
     left = None if bounces is None else bounces - 1
     spacing = float(spacing_m) / task.stage.unit_m
-    cache = solved(task, sets, spacing, channels, left, seed + 0x77)
+    before = None if left is None else max(left - 1, 0)
+    cache = solved(task, sets, spacing, channels, before, seed + 0x77)
+    if left != 0:
+        cache = sharpened(task, sets, cache, channels, seed + 0x99)
     follow = 0 if left is not None else DEEPEST
     return Field(views, channels, lights, cache, rays, follow, KEEP, seed)
 

@@ -4,7 +4,7 @@ Rays take the guess at every hit, on the device; a few hits, looked up in the ca
 it by the difference. So the light is that of the cache, with little of the noise of few hits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ class LightMap:
         Cells along x, y and z.
     number : UInt32
         Row of every cell and side in `light`; the last row, which is dark, where nothing is known.
+    mean : csr_array, (N - 1, K)
+        Which places of the cache the hits of a cell looked at.
     light : ndarray, (C, N), complex128
         Radiance by indirect light.
     """
@@ -42,10 +44,17 @@ class LightMap:
     size: float
     shape: tuple[int, int, int]
     number: Jit
+    mean: Any
     light: C128
 
 
-def light_map(mi: Any, hits: Hits, light: C128, size: float) -> LightMap:  # noqa: ANN401
+def light_map(
+    mi: Any,  # noqa: ANN401 - the module mitsuba
+    hits: Hits,
+    near: tuple[F64, Any],
+    light: C128,
+    size: float,
+) -> LightMap:
     """Light of the cells that hits are in.
 
     Parameters
@@ -54,8 +63,10 @@ def light_map(mi: Any, hits: Hits, light: C128, size: float) -> LightMap:  # noq
         Mitsuba with a Dr.Jit variant set.
     hits : Hits
         Diffuse places, one or more.
+    near : tuple of ndarray, (n, k)
+        Weights and numbers of the places of the cache that they look at.
     light : ndarray, (C, K), complex128
-        Radiance of them.
+        Radiance of the cache.
     size : float
         Length of a cell, scene units.
 
@@ -64,6 +75,8 @@ def light_map(mi: Any, hits: Hits, light: C128, size: float) -> LightMap:  # noq
     LightMap
         Means over the hits in each cell.
     """
+    from scipy.sparse import csr_array
+
     low, high = hits.p.min(axis=1), hits.p.max(axis=1)
     size = float(np.max([size, 1e-6 * (high - low).max(), np.finfo(np.float32).tiny]))
     while np.prod((high - low) // size + 1) * SIDES > MOST_CELLS:
@@ -73,17 +86,34 @@ def light_map(mi: Any, hits: Hits, light: C128, size: float) -> LightMap:  # noq
     axis = np.abs(hits.n).argmax(axis=0)
     side = 2 * axis + (np.take_along_axis(hits.n, axis[None], 0)[0] > 0)
     cell = ((at[2] * y + at[1]) * x + at[0]) * SIDES + side
-    known, place = np.unique(cell, return_inverse=True)
-    number = np.full(x * y * z * SIDES, known.size, np.uint32)
+    count = np.bincount(cell, minlength=x * y * z * SIDES)
+    known = np.flatnonzero(count)
+    number = np.full(count.size, known.size, np.uint32)
     number[known] = np.arange(known.size)
-    count = np.bincount(place, minlength=known.size + 1)
-    rows = [
-        [np.bincount(place, part, known.size + 1) for part in (row.real, row.imag)]
-        for row in light
-    ]  # fmt: skip
-    sums = np.array(rows)
-    mean = (sums[:, 0] + 1j * sums[:, 1]) / np.maximum(count, 1)
-    return LightMap(low, size, (x, y, z), mi.UInt32(number), mean)
+    share, place = near
+    row = np.repeat(number[cell], place.shape[1])
+    weight = (share / count[cell][:, None]).ravel()
+    mean = csr_array((weight, (row, place.ravel())), (known.size, light.shape[1]))
+    return lit_by(LightMap(low, size, (x, y, z), mi.UInt32(number), mean, light), light)
+
+
+def lit_by(known: LightMap, light: C128) -> LightMap:
+    """The same cells in other light of the cache.
+
+    Parameters
+    ----------
+    known : LightMap
+        Cells.
+    light : ndarray, (C, K), complex128
+        Radiance of the cache.
+
+    Returns
+    -------
+    LightMap
+        With that light.
+    """
+    mean = (known.mean @ light.T).T
+    return replace(known, light=np.concatenate([mean, np.zeros((len(mean), 1))], axis=1))
 
 
 def row_of(mi: Any, known: LightMap, p: Jit, n: Jit, active: Jit) -> Jit:  # noqa: ANN401

@@ -5,14 +5,16 @@ gap that the cache knows nothing of; its light would leak in from outside. Such 
 their own, whose hits are looked up in turn.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from toftools.sim._cache import Cache, nearest, radiance
-from toftools.sim._fan import own_fan
+from toftools.sim._cache import Cache, nearest, radiance, ranks
+from toftools.sim._fan import own_fan, turned_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits
+from toftools.sim._light_map import lit_by
 from toftools.sim._phasors import C128
 from toftools.sim._task import Jit, Task
 from toftools.sim._tracer import lane_keys
@@ -24,6 +26,8 @@ COARSE = 1.0
 DEEPEST = 3
 FURTHER = 4
 """Rays of such a hit."""
+SHARP, SHARP_KEPT = 256, 16
+"""Rays of a place of the cache that looks around once more, and how many look light up."""
 
 
 def looked_up(
@@ -68,6 +72,42 @@ def looked_up(
     if cache.guess is not None:
         light -= cache.guess.light[:, hits.guessed]
     return _arriving(hits, light, lanes, channels)
+
+
+def sharpened(task: Task, sets: list[Jit], cache: Cache, channels: Channels, seed: int) -> Cache:
+    """A cache whose places have looked around once more, with many rays.
+
+    Parameters
+    ----------
+    task : Task
+        Scene and sources.
+    sets : list of SurfaceInteraction3f
+        Its places.
+    cache : Cache
+        Light of one bounce less, or of all.
+    channels : Channels
+        What is summed up.
+    seed : int
+        Of the rays.
+
+    Returns
+    -------
+    Cache
+        Light with less noise, and with one more bounce if they are counted.
+    """
+    import drjit as dr
+
+    rank, start, light = ranks(sets), 0, []
+    for at in sets:
+        width = dr.width(at.t)
+        fan = turned_fan(task.mi, SHARP, rank[start : start + width], seed)
+        arrived = hemisphere(task, at, fan, channels, None, SHARP_KEPT, cache.guess)
+        found = looked_up(task, cache, arrived.hits, width, channels, seed, 0)
+        light.append(arrived.one_bounce + arrived.rest + arrived.guessed + found)
+        start += width
+    later = np.concatenate(light, axis=1)
+    guess = None if cache.guess is None else lit_by(cache.guess, cache.albedo * later)
+    return replace(cache, later=later, guess=guess)
 
 
 def _further(
