@@ -31,7 +31,7 @@ PER_RAY = 32
 FEWEST, MOST_RAYS = 32, 1024
 KEEP = 64
 """Hits of a point, about, that are looked up in the cache."""
-NEARBY = 0.5
+NEARBY = 2.0
 """Places of the cache among nearby hits, per virtual light."""
 MOST_HITS = 1 << 21
 """Rays of points at a time."""

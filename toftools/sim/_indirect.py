@@ -29,10 +29,11 @@ log = logging.getLogger(__name__)
 REPLICATES = 4
 FIRST, MOST = 1024, 1 << 16
 """Virtual lights of an estimate in the first round, and at the most."""
-FALL = 0.75
+FALL = 0.8
 """Exponent with which the error falls with the number of virtual lights, as measured."""
-NOISE, ENOUGH = 0.5, 0.65
-"""Shares of the tolerance at which scatter is aimed, and with which it is content."""
+NOISE, ENOUGH, CLOSE = 0.5, 0.65, 1.3
+"""Shares of the tolerance at which scatter is aimed, with which it is content, and how much more
+than that calls for more estimates in place of better ones."""
 ROUNDS = 3
 AUDIT, PILOTS = 768, 4
 """Rounds at the most; points that measure errors, and rounds at those alone."""
@@ -104,7 +105,7 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
         done = order.samples is not None or total >= MOST or rounds == ROUNDS
         if done or reached_m <= ENOUGH * order.tol_m:
             break
-        fields = _fields(scene, plan, _more(total, reached_m, order.tol_m), PILOTS + rounds)
+        fields = _better(scene, plan, fields, reached_m, PILOTS + rounds)
         few = _runs(scene, fields, apart)
     mean = runs.mean(axis=0)
     found_m = _between(scene, plan, apart, *(x.mean(axis=0).sum(axis=0) for x in (runs, few)))
@@ -112,10 +113,18 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
     return _made(scene, replace(plan, error_m=found_m), mean, error_m, (lights, reached_m))
 
 
-def _more(total: int, reached_m: float, tol_m: float) -> int:
-    """Virtual lights that will do, by how the error falls: powers of two, for stratification."""
+def _better(
+    scene: Wanted, plan: Plan, fields: list[Field], reached_m: float, rounds: int
+) -> list[Field]:
+    """Fields that will do: as many again where little is missing, else others with more lights.
+
+    Numbers of lights are powers of two, for stratification; how the error falls tells which.
+    """
+    total, tol_m = fields[0].lights.total, scene.order.tol_m
+    if reached_m <= CLOSE * ENOUGH * tol_m:
+        return fields + _fields(scene, plan, total, rounds)
     more = np.clip((reached_m / (NOISE * tol_m)) ** (1 / FALL), 2, 16)
-    return int(min(MOST, 2 ** round(np.log2(total * more))))
+    return _fields(scene, plan, int(min(MOST, 2 ** round(np.log2(total * more)))), rounds)
 
 
 def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
@@ -127,9 +136,9 @@ def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
 
 def _enough(scene: Wanted, plan: Plan, apart: Any) -> tuple[list[Field], C128]:  # noqa: ANN401
     """Fields that reach the tolerance at some points, and what they tell there."""
-    total, rounds = scene.order.samples or FIRST, 0
+    total, rounds = scene.order.samples or FIRST, 1
+    fields = _fields(scene, plan, total, 0)
     while True:
-        fields, rounds = _fields(scene, plan, total, rounds), rounds + 1
         runs = _runs(scene, fields, apart)
         if scene.order.samples is not None:
             return fields, runs
@@ -137,10 +146,11 @@ def _enough(scene: Wanted, plan: Plan, apart: Any) -> tuple[list[Field], C128]: 
         mean = each.mean(axis=0)
         wrong = wrong_m(scene, each - mean, mean, apart)
         reached_m = float(np.sqrt(np.sum(wrong**2) / apart.size / (len(each) - 1) / len(each)))
+        total = fields[0].lights.total
         log.info("%d virtual lights, %.2f mm rms at %d points", total, 1e3 * reached_m, apart.size)
         if reached_m <= ENOUGH * scene.order.tol_m or total >= MOST or rounds == PILOTS:
             return fields, runs
-        total = _more(total, reached_m, scene.order.tol_m)
+        fields, rounds = _better(scene, plan, fields, reached_m, rounds), rounds + 1
 
 
 def _between(scene: Wanted, plan: Plan, apart: Any, gathered: C128, few: C128) -> float:  # noqa: ANN401

@@ -9,11 +9,10 @@ from toftools.sim._field import arriving, light_field
 from toftools.sim._phasors import C128
 from toftools.sim._seen import points_at
 from toftools.sim._sparse import Plan, Surface, place
-from toftools.sim._stop import range_errors_m
-from toftools.sim._wanted import FAINT, Wanted, shown
+from toftools.sim._wanted import Wanted, wrong_m
 from toftools.types import F64
 
-BETWEEN = 0.7
+BETWEEN = 0.75
 """Share of the tolerance that interpolation may take."""
 SMALL = 1024
 """Points of which so few are all gathered at."""
@@ -25,7 +24,8 @@ def placed(scene: Wanted) -> Plan:
     """Points to gather at.
 
     Light with one bounce has the creases and shadows that all indirect light has, and is known
-    without chance: errors of its interpolation stand for those of the whole, in proportion.
+    without chance. Errors of its interpolation stand for those of the other light too, in
+    proportion.
 
     Parameters
     ----------
@@ -49,20 +49,16 @@ def placed(scene: Wanted) -> Plan:
                 task, scene.views, scene.channels, points, PLACING, scene.bounces, seed
             )
             one, rest = (light[used] for light in arriving(task, field, points))
-            known["one"], known["all"] = _roughly(scene, number, one, one + rest)
+            known["one"], known["rest"] = _roughly(scene, number, one, rest)
             known["field"] = replace(field, cache=None, keep=0)
         one, _ = arriving(task, known["field"], points)
         return np.asarray(one[used])
 
     def errors_m(delta: C128, number: Any) -> F64:  # noqa: ANN401 - ints
-        one, light = known["one"][:, number], known["all"][:, number]
+        one, rest = known["one"][:, number], known["rest"][:, number]
         share = np.divide(delta, one, out=np.zeros_like(delta), where=one != 0)
-        wrong = shown(what, share * light, wave, number)
-        total = scene.direct[used][:, number] + shown(what, light, wave, number)
-        error_m = range_errors_m(wrong, total, wave)
-        size = np.abs(scene.direct[used]).min(axis=0)
-        counts = size[number] > FAINT * np.median(size[what.diffuse])
-        return np.where(counts, error_m, 0.0)
+        parts = (delta, share * rest)
+        return np.hypot(*(wrong_m(scene, part, one + rest, number) for part in parts))
 
     def nothing(number: Any) -> C128:  # noqa: ANN401 - ints
         return np.zeros((len(wave), len(number)), np.complex128)
