@@ -6,7 +6,7 @@ python benchmarks/radiosity.py --references REFS --out DIR [--quick]
 
 Every engine looks at the same geometry and materials under a flash at the camera, with the same
 number of bounces, in a process of its own; they take turns, and the first call of every setting is
-not timed. Errors are those of the centres of pixels away from depth edges, against runs of `path`
+not timed, unless the setting before took so long that nothing can be left to prepare. Errors are those of the centres of pixels away from depth edges, against runs of `path`
 that are made once and kept in REFS (minutes), and are free of the reference's own noise. In the
 living room some surfaces are not diffuse, where `radiosity` takes all bounces or leaves the image
 to `path`: there all others have so many that the rest does not count.
@@ -40,6 +40,7 @@ ENGINES = {
     BEST: ("peers.mitransient_peer", {"sampler": "multijitter"}, (16, 64, 256)),
     PLAIN: ("peers.mitransient_peer", {"sampler": "independent"}, (16, 64, 256)),
 }
+SLOW_S = 3.0
 LIMIT_S = 30.0  # an engine that took longer for a frame is not asked for finer ones
 
 
@@ -65,7 +66,9 @@ def run_view(view, folder, repeats, steps, log):
         for worker in workers.values():
             worker.close()
     freq_hz = float(preset(view.sensor()).modulation.freqs_hz[0])
-    points = {name: points_of(found, truth, freq_hz, keep) for name, found in frames.items()}
+    points = {
+        name: points_of(found, truth, freq_hz, keep, repeats) for name, found in frames.items()
+    }
     for name, found in points.items():
         errors = ", ".join(f"{1e3 * e:.2f}" for e in reach.curve(found)[1])
         log(f"{view.name}, {name}: {errors} mm rms")
@@ -83,34 +86,37 @@ def run_view(view, folder, repeats, steps, log):
 
 
 def take_turns(workers, view, repeats, steps, log):
-    """Frames per engine and setting; the first of each is not timed, seeds differ."""
-    frames, done = {name: {} for name in workers}, set()
+    """Frames per engine and setting, those that are timed last; seeds differ."""
+    frames, slow, done = {name: {} for name in workers}, set(), set()
     for step in range(min(steps, max(len(ENGINES[name][2]) for name in workers))):
         for turn in range(repeats + 1):
             for name, worker in workers.items():
                 settings = ENGINES[name][2]
-                if step < len(settings) and name not in done:
+                skipped = turn == 0 and name in slow
+                if step < len(settings) and name not in done and not skipped:
                     frame = worker(settings[step], 1 + turn)
                     frames[name].setdefault(settings[step], []).append(frame)
         for name in workers:
             settings = ENGINES[name][2]
             if step >= len(settings) or name in done:
                 continue
-            seconds = min(f.seconds for f in frames[name][settings[step]][1:])
+            seconds = min(f.seconds for f in frames[name][settings[step]][-repeats:])
             log(f"{view.name}, {name} at {settings[step]}: {seconds:.3f} s")
+            if seconds > SLOW_S:
+                slow.add(name)
             if seconds > LIMIT_S:
                 done.add(name)
     return frames
 
 
-def points_of(frames, truth, freq_hz, keep):
+def points_of(frames, truth, freq_hz, keep, repeats):
     """One `measure.Point` per setting."""
     found = []
     for setting, runs in frames.items():
         images = [f.phasors[0] for f in runs]
         found.append(measure.Point(
             setting,
-            [f.seconds for f in runs[1:]],
+            [f.seconds for f in runs[-repeats:]],
             [measure.mean_square_m2(image, truth.halves, freq_hz, keep) for image in images],
             [measure.median_m(image, truth.mean, freq_hz, keep) for image in images],
             runs[0].seconds,
