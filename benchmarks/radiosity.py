@@ -6,8 +6,9 @@ python benchmarks/radiosity.py --references REFS --out DIR [--quick]
 
 Every engine looks at the same geometry and materials under a flash at the camera, with the same
 number of bounces, in a process of its own; they take turns, and the first call of every setting is
-not timed, unless the setting before took so long that nothing can be left to prepare. Errors are those of the centres of pixels away from depth edges, against runs of `path`
-that are made once and kept in REFS (minutes), and are free of the reference's own noise. In the
+not timed, unless the setting before took so long that nothing can be left to prepare. Errors are
+those of the centres of pixels away from depth edges, against runs of `path` that are made once and
+kept in REFS (minutes), and are free of the reference's own noise. In the
 living room some surfaces are not diffuse, where `radiosity` takes all bounces or leaves the image
 to `path`: there all others have so many that the rest does not count.
 """

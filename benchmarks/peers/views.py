@@ -47,5 +47,5 @@ def views(*, quick):
     file = Path(os.environ.get("TOFTOOLS_DATA", "")).parent / "scenes/living-room/scene.xml"
     if not file.is_file():
         return [*found, *rooms], ["the living room is left out: it is not beside TOFTOOLS_DATA"]
-    living = View(LIVING, f"{file}:{POSE}", room, (160, 120), 24, 256, 4, solved=True)
+    living = View(LIVING, f"{file}:{POSE}", room, (160, 120), 24, 768, 4, solved=True)
     return [*found, living, *rooms], []
