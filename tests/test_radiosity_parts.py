@@ -6,11 +6,14 @@ from path_proof import ideal
 
 from toftools._native import import_mitsuba
 from toftools.camera import rays
-from toftools.sim._cache import RAYS, lookups, nearest, solved
-from toftools.sim._fan import own_fan
+from toftools.sim._cache import RAYS, lookups, nearest, ranks, solved
+from toftools.sim._fan import along_curve, own_fan, shared_fan, turned_fan
 from toftools.sim._flash import flashes_of
 from toftools.sim._gather import gather
-from toftools.sim._hemisphere import hemisphere
+from toftools.sim._hemisphere import _thinned, hemisphere
+from toftools.sim._hits import Hits
+from toftools.sim._light_map import light_map, lit_by, row_of
+from toftools.sim._lookup import looked_up, sharpened
 from toftools.sim._second import up_of
 from toftools.sim._segments import CLEAR
 from toftools.sim._sweep import Against
@@ -139,12 +142,11 @@ def test_the_cache_solves_its_equations():
     mi, seed = task.mi, 11
     at = virtual_lights(task, viewpoints(task), 200, CHANNELS, 2).at
     cache = solved(task, at, 0.3, CHANNELS, None, seed)
-    once, rows, start = [], [], 0
-    for number, some in enumerate(at):
+    once, rows, start, rank = [], [], 0, ranks(at)
+    for some in at:
         count = len(arrays(some.p))
-        keys = lane_keys(mi, mi.UInt32(np.arange(start, start + count, dtype=np.uint32)),
-                         seed + number)  # fmt: skip
-        arrived = hemisphere(task, some, own_fan(mi, RAYS, keys), CHANNELS)
+        fan = turned_fan(mi, RAYS, rank[start : start + count], seed)
+        arrived = hemisphere(task, some, fan, CHANNELS)
         once.append(arrived.one_bounce + arrived.rest)
         near = nearest(cache, arrived.hits)
         matrices = lookups(cache, arrived.hits, near, count, CHANNELS)
@@ -160,3 +162,121 @@ def test_the_cache_solves_its_equations():
         assert np.abs(cache.later[i] - exact).max() < 1e-4 * np.abs(exact).max()
         alone = solved(task, at, 0.3, CHANNELS, 2, seed).later[i]
         assert alone == pytest.approx(once[i] + system @ once[i], rel=1e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.9])
+@pytest.mark.parametrize(("bounces", "terms"), [(1, 1), (3, 3), (None, 1000)])
+def test_places_that_look_around_once_more_count_one_more_bounce(albedo, bounces, terms):
+    """In a sphere lit from its centre every bounce is the one before times the albedo."""
+    task = task_of(world_of(Scene("cavity", {"radius": 2.0, "albedo": albedo})))
+    views = viewpoints(task)
+    lights = virtual_lights(task, views, 256, CHANNELS, 4)
+    before = None if bounces is None else bounces - 1
+    cache = solved(task, lights.at, 0.2, CHANNELS, before, 5)
+    sharp = sharpened(task, lights.at, cache, CHANNELS, 6)
+    # What leaves a place of albedo 1 is what arrives: direct light of the sphere, and so on.
+    series = np.mean(lights.direct[0].real) * np.sum(albedo ** np.arange(terms))
+    assert np.mean(sharp.later[0].real) == pytest.approx(series, rel=0.01)
+
+
+def test_places_that_look_around_once_more_scatter_less():
+    task = task_of(world_of(Scene("cornell")))
+    at = virtual_lights(task, viewpoints(task), 256, CHANNELS, 4).at
+    rough = [solved(task, at, 0.3, CHANNELS, None, seed) for seed in (1, 2)]
+    sharp = [sharpened(task, at, cache, CHANNELS, seed) for seed, cache in enumerate(rough, 3)]
+    apart = [np.linalg.norm(one.later - two.later) for one, two in (rough, sharp)]
+    assert apart[1] < 0.5 * apart[0]
+
+
+def test_thinned_hits_stand_for_all():
+    rng = np.random.default_rng(3)
+    shares = rng.random((5, 64)).astype(np.float32) ** 4
+    shares[rng.random((5, 64)) < 0.2] = 0.0
+    shares[1, 7] = shares[4, 60] = -1.0
+    values = rng.normal(size=(5, 64))
+    sums, counts = [], []
+    for offset in (np.arange(4000) + 0.5) / 4000:
+        lane, ray, weight = _thinned(shares, offset, 10)
+        assert {(1, 7), (4, 60)} <= set(zip(lane.tolist(), ray.tolist(), strict=True))
+        diffuse = shares[lane, ray] > 0
+        counts.append(np.bincount(lane[diffuse], minlength=5))
+        assert (weight[~diffuse] == 1).all()
+        weighted = (weight * values[lane, ray])[diffuse]
+        sums.append(np.bincount(lane[diffuse], weighted, 5))
+    assert np.ptp(counts, axis=0).max() <= 1
+    assert np.max(counts) <= 11
+    exact = (np.clip(shares, 0, None) * values).sum(axis=1)
+    assert np.mean(sums, axis=0) == pytest.approx(exact, abs=0.005)
+    lane, ray, weight = _thinned(shares, 0.3, None)
+    assert len(lane) == np.count_nonzero(shares)
+    assert weight == pytest.approx(np.abs(shares[lane, ray]))
+    assert not len(_thinned(shares, 0.3, 0)[0])
+
+
+def test_a_guess_and_what_corrects_it_are_the_light_of_the_cache():
+    task = task_of(world_of(Scene("cornell")))
+    points, views = points_of(task), viewpoints(task)
+    at = virtual_lights(task, views, 300, CHANNELS, 2).at
+    cache = solved(task, at, 0.3, CHANNELS, None, 3)
+    fan, count = shared_fan(task.mi, 32, 9), len(arrays(points.p))
+    plain, guessed = (
+        hemisphere(task, points, fan, CHANNELS, Against(views, 300), None, guess)
+        for guess in (None, cache.guess)
+    )
+    assert not plain.guessed.any()
+    assert guessed.guessed.any()
+    one, two = (
+        part.guessed + looked_up(task, cache, part.hits, count, CHANNELS, 1, 0)
+        for part in (plain, guessed)
+    )
+    assert np.abs(one - two).max() < 1e-5 * np.abs(one).max()
+    few = hemisphere(task, points, fan, CHANNELS, Against(views, 300), 4, cache.guess)
+    assert len(few.hits.weight) < 0.3 * len(plain.hits.weight)
+    rough = few.guessed + looked_up(task, cache, few.hits, count, CHANNELS, 1, 0)
+    alone = hemisphere(task, points, fan, CHANNELS, Against(views, 300), 4).hits
+    blind = looked_up(task, cache, alone, count, CHANNELS, 1, 0)
+    assert np.linalg.norm(rough - one) < 0.5 * np.linalg.norm(blind - one)
+
+
+def test_cells_hold_the_mean_of_their_hits():
+    mi, rng, count = import_mitsuba(), np.random.default_rng(1), 500
+    p, n = rng.random((3, count)) * [[2.0], [0.5], [0.0]], rng.normal(size=(3, count))
+    blank = np.zeros(count)
+    hits = Hits(np.arange(count), p, n, blank, blank, np.full(count, -1), [])
+    places = rng.integers(0, 40, (count, 2))
+    share = rng.random((count, 2))
+    light = rng.normal(size=(2, 40)) + 1j * rng.normal(size=(2, 40))
+    known = light_map(mi, hits, (share, places), light, 0.3)
+    at, up = mi.Point3f(np.float32(p)), mi.Normal3f(np.float32(n))
+    rows = row_of(mi, known, at, up, mi.Bool(True)).numpy()
+    found = {}
+    for i in range(count):
+        axis = int(np.argmax(np.abs(n[:, i])))
+        cell = (*((p[:, i] - p.min(axis=1)) // 0.3).astype(int), axis, n[axis, i] > 0)
+        found.setdefault(cell, []).append(i)
+    assert len(found) > 60
+    for members in found.values():
+        assert len(set(rows[members])) == 1
+        mean = np.mean([(share[i] * light[:, places[i]]).sum(axis=1) for i in members], axis=0)
+        assert known.light[:, rows[members[0]]] == pytest.approx(mean)
+    outside = row_of(mi, known, mi.Point3f(9, 9, 9), mi.Normal3f(0, 0, 1), mi.Bool(True)).numpy()
+    assert not known.light[:, outside].any()
+    assert lit_by(known, 2 * light).light == pytest.approx(2 * known.light)
+
+
+def test_rays_of_neighbours_complete_each_other():
+    mi = import_mitsuba()
+    fan = turned_fan(mi, 64, np.arange(4), 7)
+    lane, number = (mi.UInt32(x.astype(np.uint32)) for x in np.divmod(np.arange(256), 64))
+    square = np.asarray(fan.square(number, lane).numpy()).reshape(2, -1)
+    cells = (16 * square).astype(int)
+    assert len(set(zip(*cells, strict=True))) == 256
+    own = (8 * square[:, :64]).astype(int)
+    assert len(set(zip(*own, strict=True))) == 64
+    shared = shared_fan(mi, 64, 7)
+    rows = np.asarray(shared.square(mi.UInt32(np.arange(64, dtype=np.uint32)), None).numpy())
+    rows = rows.reshape(2, -1)
+    assert len(set(zip(*(8 * rows).astype(int), strict=True))) == 64
+    assert (np.diff(along_curve(rows)) > 0).all()
+    steps = np.linalg.norm(np.diff(rows, axis=1), axis=0)
+    assert steps.mean() < 0.25  # 0.52 for random order
