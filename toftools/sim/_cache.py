@@ -7,10 +7,12 @@ direct light ``e_i`` over the hemisphere and the look-ups as a sparse matrix S,
     L = albedo (e + S L),
 
 the rendering equation (seed "Transient instant radiosity", 2019, eq. 1) at the frequencies of the
-modulation, S carrying the phase of the way. Iterated n - 1 times it holds n bounces. Errors of the
-rows are independent and average out when the light is gathered; rows add up to what they meet, so
-energy is kept to the noise of the rays. Nearest places are told by position and normal; the error
-of a look-up falls with the spacing of the cache, which is why it holds many places with few rays.
+modulation, S carrying the phase of the way. All bounces are a linear system (GMRES); iterated
+n - 1 times it holds n of them. Rays of places that are near complete each other, so that their
+errors average out when the light is gathered; rows add up to what they meet, so energy is kept to
+the noise of the rays. Nearest places are told by position and normal; the error of a look-up falls
+with the spacing of the cache, which is why it holds many places with few rays. What the few rays
+leave to wish for, many bring at little cost once the light is known (`_lookup.sharpened`).
 """
 
 import logging

@@ -130,7 +130,7 @@ def flash_light(
     """
     import drjit as dr
 
-    place = mi.Point3f(*(float(x) for x in flash.position))
+    place = mi.Point3f(*opaque(mi, flash.position))
     away = place - si.p
     far = dr.norm(away)
     to = away / far
@@ -139,13 +139,33 @@ def flash_light(
     dist_m = far * stage.unit_m
     value *= dr.pi * flash.strength / dr.square(dist_m)
     if flash.beam is not None:
-        axis = mi.Vector3f(*(float(x) for x in flash.axis))
+        axis = mi.Vector3f(*opaque(mi, flash.axis))
         value *= beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
     seen = active & (value > 0)
     if not lit:
         value *= share_seen(mi, stage.scene, si, place, seen)
     optical_m = dr.select(si.wi.z * local.z < 0, 1.0, ior) * dist_m
     return dr.select(seen, value, 0.0), optical_m + flash.delay_m
+
+
+def opaque(mi: Any, values: Any) -> list[Jit]:  # noqa: ANN401 - module, numbers
+    """Numbers that kernels read, so that others do not need other kernels.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    values : iterable of float
+        Numbers.
+
+    Returns
+    -------
+    list of Float
+        The same.
+    """
+    import drjit as dr
+
+    return [dr.opaque(mi.Float, float(value)) for value in values]
 
 
 def beam_at(mi: Any, beam: Jit, angle: Jit, active: Jit) -> Jit:  # noqa: ANN401

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._flash import opaque
 from toftools.sim._hits import Hits
 from toftools.sim._phasors import C128
 from toftools.sim._task import Jit
@@ -138,7 +139,7 @@ def row_of(mi: Any, known: LightMap, p: Jit, n: Jit, active: Jit) -> Jit:  # noq
     import drjit as dr
 
     x, y, z = known.shape
-    low = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in known.low))
+    low = mi.Point3f(*opaque(mi, known.low))
     at = mi.Point3i(dr.floor((p - low) / dr.opaque(mi.Float, known.size)))
     sides = [dr.opaque(mi.Int32, v) for v in (x, y, z)]
     inside = active & (dr.min(at) >= -1)

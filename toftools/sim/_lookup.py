@@ -1,5 +1,8 @@
 """Indirect light of what rays met: out of the cache, or by further rays where that is too coarse.
 
+Where rays have taken a guess at the light (`_light_map`), the few hits that are looked up bring the
+difference, as a control variate.
+
 A place that is nearer to the point its ray came from than to any place of the cache may lie in a
 gap that the cache knows nothing of; its light would leak in from outside. Such hits send rays of
 their own, whose hits are looked up in turn.

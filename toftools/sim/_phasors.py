@@ -251,7 +251,7 @@ def turn(mi: Any, cycles: float, path_m: Jit) -> tuple[Jit, ...]:  # noqa: ANN40
 
     if cycles == 0:
         return (mi.Float(1),)
-    turns = path_m * cycles
+    turns = path_m * dr.opaque(mi.Float, cycles)  # other frequencies, the same kernel
     # Whole turns go first, while single precision holds them.
     sine, cosine = dr.sincos((turns - dr.floor(turns)) * dr.two_pi)
     return cosine, sine

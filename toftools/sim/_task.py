@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._flash import Flash
+from toftools.sim._flash import Flash, opaque
 from toftools.sim._holes import ALL, MAX_PASSED, has_holes, share_passed
 from toftools.sim.stage import Stage
 from toftools.types import F64
@@ -115,7 +115,7 @@ def first_hits(task: Task, directions: F64, *, hole: float = ALL) -> Jit:
     known = np.asarray(np.isfinite(directions).all(axis=-1))
     world = np.where(known[:, None], directions, [0.0, 0.0, 1.0]) @ pose[:3, :3].T
     columns = [mi.Float(np.ascontiguousarray(world[:, i], dtype=np.float32)) for i in range(3)]
-    ray = mi.Ray3f(mi.Point3f(*(float(x) for x in pose[:3, 3])), mi.Vector3f(*columns))
+    ray = mi.Ray3f(mi.Point3f(*opaque(mi, pose[:3, 3])), mi.Vector3f(*columns))
     seen = mi.Bool(np.ascontiguousarray(known))
     si = task.stage.scene.ray_intersect(ray, seen)
     passed = dr.zeros(mi.Float, len(directions))

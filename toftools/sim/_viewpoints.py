@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._flash import opaque
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._segments import above, segment
 from toftools.sim._sobol import hashed, pair
@@ -109,7 +110,7 @@ def _chart(task: Task, place: F64) -> Any:  # noqa: ANN401 - a class of Mitsuba'
     u = (column + 0.5) / fine_columns, (row + 0.5) / fine_rows
     square = mi.Point2f(*(mi.Float(x.astype(np.float32)) for x in u))
     away = mi.warp.square_to_uniform_sphere(square)
-    met = task.stage.scene.ray_test(mi.Ray3f(mi.Point3f(*map(float, place)), away))
+    met = task.stage.scene.ray_test(mi.Ray3f(mi.Point3f(*opaque(mi, place)), away))
     cells = np.asarray(met.numpy(), bool).reshape(CELLS, FINE, 2 * CELLS, FINE).any(axis=(1, 3))
     grid = np.zeros((CELLS + 1, 2 * CELLS + 1), bool)
     for down in (0, 1):
@@ -147,7 +148,7 @@ def shoot(task: Task, view: Viewpoint, count: int, seed: int) -> tuple[Jit, Jit]
     index = dr.arange(mi.UInt32, count)
     square, _ = view.chart.sample(pair(mi, index, key, mi.UInt32(0)))
     away = mi.warp.square_to_uniform_sphere(square)
-    si = task.stage.scene.ray_intersect(mi.Ray3f(mi.Point3f(*map(float, view.place)), away))
+    si = task.stage.scene.ray_intersect(mi.Ray3f(mi.Point3f(*opaque(mi, view.place)), away))
     found: Jit = dr.compress(scatters_alike(mi, si))
     si = dr.gather(mi.SurfaceInteraction3f, si, found)
     normal = up_of(si) if dr.width(found) else mi.Normal3f()
@@ -184,7 +185,7 @@ def density(
     lifted = above(p, n)
     found = mi.Float(0)
     for view, number in zip(views, counts(views, total), strict=True):
-        place = mi.Point3f(*map(float, view.place))
+        place = mi.Point3f(*opaque(mi, view.place))
         way = p - place
         far = dr.norm(way)
         way /= far

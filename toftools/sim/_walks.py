@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._flash import Flash, beam_at
+from toftools.sim._flash import Flash, beam_at, opaque
 from toftools.sim._second import facing, scatters_alike, up_of
 from toftools.sim._sobol import MAX_POINTS, hashed, pair
 from toftools.sim._task import Jit, Task, next_hit
@@ -152,7 +152,7 @@ def _spread(task: Task, flash: Flash) -> Any:  # noqa: ANN401 - a Mitsuba distri
 
 def place_of(mi: Any, flash: Flash) -> Jit:  # noqa: ANN401
     """Where a source sits, scene units."""
-    return mi.Point3f(*(float(x) for x in flash.position))
+    return mi.Point3f(*opaque(mi, flash.position))
 
 
 def _beam(mi: Any, flash: Flash, away: Jit) -> Jit:  # noqa: ANN401
@@ -160,7 +160,7 @@ def _beam(mi: Any, flash: Flash, away: Jit) -> Jit:  # noqa: ANN401
 
     if flash.beam is None:
         return mi.Float(1)
-    axis = mi.Vector3f(*(float(x) for x in flash.axis))
+    axis = mi.Vector3f(*opaque(mi, flash.axis))
     return beam_at(mi, flash.beam, dr.safe_acos(dr.dot(away, axis)), mi.Bool(True))
 
 
