@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 REPLICATES = 4
 FIRST, MOST = 1024, 1 << 16
 """Virtual lights of an estimate in the first round, and at the most."""
+LOOSE_M = 0.01
+"""Tolerance from which a quarter of the first lights may do."""
 FALL = 0.8
 """Exponent with which the error falls with the number of virtual lights, as measured."""
 NOISE, ENOUGH, CLOSE = 0.5, 0.65, 1.3
@@ -136,7 +138,8 @@ def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
 
 def _enough(scene: Wanted, plan: Plan, apart: Any) -> tuple[list[Field], C128]:  # noqa: ANN401
     """Fields that reach the tolerance at some points, and what they tell there."""
-    total, rounds = scene.order.samples or FIRST, 1
+    first = FIRST if scene.order.tol_m < LOOSE_M else FIRST // 4
+    total, rounds = scene.order.samples or first, 1
     fields = _fields(scene, plan, total, 0)
     while True:
         runs = _runs(scene, fields, apart)
