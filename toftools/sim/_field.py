@@ -184,8 +184,10 @@ def arriving(task: Task, field: Field, points: Jit, met: F64 | None = None) -> t
 
     step, parts = max(256, MOST_HITS // field.rays), []
     for start in range(0, dr.width(points.t), step):
-        index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start)) + start
+        index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start))
+        index += dr.opaque(task.mi.UInt32, start)
         part = dr.gather(task.mi.SurfaceInteraction3f, points, index)
+        dr.eval(part)  # else gathering from it evaluates every field by a kernel of its own
         parts.append(
             _arriving(task, field, part, None if met is None else met[start : start + step])
         )
@@ -231,8 +233,10 @@ def _nearby(
     mi, width = task.mi, dr.width(points.t)
     if not width or not wanted > 0:
         return []
-    index = dr.arange(mi.UInt32, -(-width // max(1, width // SCOUTS))) * max(1, width // SCOUTS)
+    step = max(1, width // SCOUTS)
+    index = dr.arange(mi.UInt32, -(-width // step)) * dr.opaque(mi.UInt32, step)
     scouts = dr.gather(mi.SurfaceInteraction3f, points, index)
+    dr.eval(scouts)
     fan = own_fan(mi, FEWEST, lane_keys(mi, index, seed + 0x33))
     dark, none = task.without_flashes(), Channels(np.zeros(1), (True,))
     hits = hemisphere(dark, scouts, fan, none, Against(views, total)).hits

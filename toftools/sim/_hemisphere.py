@@ -98,7 +98,7 @@ def hemisphere(
     mi, width = task.mi, dr.width(points.t)
     step, parts = max(1, MOST_RAYS // fan.rays), []
     for start in range(0, width, step):
-        lanes = dr.arange(mi.UInt32, min(step, width - start)) + start
+        lanes = dr.arange(mi.UInt32, min(step, width - start)) + dr.opaque(mi.UInt32, start)
         first = swept(task, points, lanes, fan, channels, against, guess)
         lane, ray, weight = _thinned(first.shares, fan.offset, keep)
         rest, hits = _met(task, points, (lane + start, ray, weight), fan, channels, guess)

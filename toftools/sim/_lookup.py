@@ -125,7 +125,7 @@ def _further(
     """Light of some hits by rays of their own, (C, n)."""
     found, start = [], 0
     for at in _surfaces(task, hits, np.flatnonzero(coarse)):
-        number, albedo = _lanes(task, at) + start, albedo_of(task, at)
+        number, albedo = _lanes(task, at, start), albedo_of(task, at)
         start += len(albedo)
         fan = own_fan(task.mi, FURTHER, lane_keys(task.mi, number, seed))
         arrived = hemisphere(task, at, fan, channels)
@@ -148,10 +148,10 @@ def _arriving(hits: Hits, light: C128, lanes: int, channels: Channels) -> C128:
     return sums
 
 
-def _lanes(task: Task, at: Jit) -> Jit:
+def _lanes(task: Task, at: Jit, start: int) -> Jit:
     import drjit as dr
 
-    return dr.arange(task.mi.UInt32, dr.width(at.t))
+    return dr.arange(task.mi.UInt32, dr.width(at.t)) + dr.opaque(task.mi.UInt32, start)
 
 
 def _surfaces(task: Task, hits: Hits, number: Any) -> list[Jit]:  # noqa: ANN401 - ints

@@ -149,6 +149,7 @@ def shoot(task: Task, view: Viewpoint, count: int, seed: int) -> tuple[Jit, Jit]
     square, _ = view.chart.sample(pair(mi, index, key, mi.UInt32(0)))
     away = mi.warp.square_to_uniform_sphere(square)
     si = task.stage.scene.ray_intersect(mi.Ray3f(mi.Point3f(*opaque(mi, view.place)), away))
+    dr.eval(si)  # else gathering evaluates every field by a kernel of its own
     found: Jit = dr.compress(scatters_alike(mi, si))
     si = dr.gather(mi.SurfaceInteraction3f, si, found)
     normal = up_of(si) if dr.width(found) else mi.Normal3f()
@@ -219,6 +220,7 @@ def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F
             away = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(number))
             nearby = next_hit(task, si, away, mi.Bool(True))
             valid, facing = scatters_alike(mi, nearby), up_of(nearby)
+            dr.eval(nearby, facing)
             probes += int(np.count_nonzero(valid.numpy())) if step == 0 else 0
             hidden = valid & (density(task, views, 1, nearby.p, facing, valid) <= 0)
             kept: Jit = dr.compress(hidden)
