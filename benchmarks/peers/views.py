@@ -43,7 +43,7 @@ def views(*, quick):
         ]
         return found, ["the living room is left out of a quick run"]
     found = [View(CORNELL, "cornell", box, (320, 240), 8, 256, 6)]
-    rooms = [View(f"{ROOM} {n}", f"room:seed={n}", room, (160, 120), 8, 128, 4) for n in ROOMS]
+    rooms = [View(f"{ROOM} {n}", f"room:seed={n}", room, (160, 120), 8, 512, 4) for n in ROOMS]
     file = Path(os.environ.get("TOFTOOLS_DATA", "")).parent / "scenes/living-room/scene.xml"
     if not file.is_file():
         return [*found, *rooms], ["the living room is left out: it is not beside TOFTOOLS_DATA"]
