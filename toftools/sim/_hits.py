@@ -68,29 +68,3 @@ def joined(parts: list[Hits]) -> Hits:
     names = ("lane", "p", "n", "weight", "length_m", "guessed")
     rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
     return Hits(**rows, at=[si for part in parts for si in part.at])
-
-
-def some(hits: Hits, which: Any) -> Hits:  # noqa: ANN401 - bools
-    """A part of hits, without their surfaces.
-
-    Parameters
-    ----------
-    hits : Hits
-        Hits.
-    which : ndarray of bool, (K,)
-        Which of them.
-
-    Returns
-    -------
-    Hits
-        Those.
-    """
-    return Hits(
-        lane=hits.lane[which],
-        p=hits.p[:, which],
-        n=hits.n[:, which],
-        weight=hits.weight[which],
-        length_m=hits.length_m[which],
-        guessed=hits.guessed[which],
-        at=[],
-    )

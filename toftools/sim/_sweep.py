@@ -107,7 +107,7 @@ def swept(
             x = mi.Float(count) * dr.dot(up, away) * -dr.dot(facing, away)
             x *= dr.inv_pi / dr.square(far_m)
             dense = density(task, against.views, against.total, nearby.p, facing, diffuse)
-            share = dr.select(diffuse, x / (dense + x), 0.0)
+            share = dr.select(diffuse & (x > 0), x / (dense + x), 0.0)  # along the surface: 0 / 0
         weight = dr.select(diffuse, share, mi.Float(1))
         light = lit(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
         marked = dr.select(hit & ~diffuse, mi.Float(-1), share)

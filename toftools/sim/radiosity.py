@@ -126,10 +126,11 @@ def _frame(
     if task.lamps:
         _, turn = tiles_of(*order.camera.shape)
         mine = turn[~other.ravel()[turn]]
+    if task.lamps and mine.size:
         image.ambient.reshape(-1)[mine] += ambient_of_lamps(task, order, mine)
     if not other.any():
         return Frame(image, told, task)
-    deep = depth_of(task, shot, None) if earlier is None else _earlier(earlier)
+    deep = _earlier(earlier) or depth_of(task, shot, None)
     paths = render(task, order_of(shot, deep, antialias, max_samples), only=other)
     told |= {"left_why": "their surfaces are not diffuse", "path_bounces": deep.bounces}
     if "tolerance_met" in told:
@@ -137,9 +138,11 @@ def _frame(
     return Frame(_merged(image, paths, other), told, task)
 
 
-def _earlier(frame: Frame) -> Depth:
-    """Bounces of the paths of the first frame of a sequence."""
-    return Depth(int(frame.told["path_bounces"]), np.nan, "as at the first time")
+def _earlier(earlier: Frame | None) -> Depth | None:
+    """Bounces of the paths of the first frame of a sequence, if that had any."""
+    if earlier is None or "path_bounces" not in earlier.told:
+        return None
+    return Depth(int(earlier.told["path_bounces"]), np.nan, "as at the first time")
 
 
 def _directly(task: Task, order: Order) -> Image:
