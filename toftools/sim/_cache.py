@@ -16,12 +16,12 @@ leave to wish for, many bring at little cost once the light is known (`_lookup.s
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import along_curve, turned_fan
+from toftools.sim._fan import along_curve, sides_of, turned_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits, joined
 from toftools.sim._light_map import LightMap, light_map
@@ -100,6 +100,12 @@ def solved(
     """
     import drjit as dr
 
+    tree, scale = _tree(sets, 2 * spacing)
+    albedo = np.concatenate([albedo_of(task, at) for at in sets])
+    dark = np.zeros((len(channels.freqs_hz), len(albedo)), np.complex128)
+    empty = Cache(tree, scale, dark, albedo, None)
+    if bounces == 0:
+        return empty
     mi, start, light, hits = task.mi, 0, [], []
     rank = ranks(sets)
     for at in sets:
@@ -109,13 +115,8 @@ def solved(
         arrived.hits.lane[:] += start
         start += width
         light.append(arrived.one_bounce + arrived.rest)
-        hits.append(arrived.hits)
-    tree, scale = _tree(sets, 2 * spacing)
-    albedo = np.concatenate([albedo_of(task, at) for at in sets])
+        hits.append(replace(arrived.hits, at=[]))  # surfaces are large, and not needed here
     once = np.concatenate(light, axis=1)
-    empty = Cache(tree, scale, np.zeros_like(once), albedo, None)
-    if bounces == 0:
-        return empty
     every = joined(hits)
     near = nearest(empty, every)
     matrices = lookups(empty, every, near, start, channels)
@@ -164,9 +165,8 @@ def ranks(sets: list[Jit]) -> Any:  # noqa: ANN401 - ints
         for parts in ([at.p for at in sets], [up_of(at) for at in sets])
     )
     low, size = p.min(axis=1, keepdims=True), np.ptp(p, axis=1).max()
-    axis = np.abs(n).argmax(axis=0)
-    side = 2 * axis + (np.take_along_axis(n, axis[None], 0)[0] > 0)
-    order = np.lexsort((along_curve((p - low) / max(size, np.finfo(np.float32).tiny)), side))
+    curve = along_curve((p - low) / max(size, np.finfo(np.float32).tiny))
+    order = np.lexsort((curve, sides_of(n)))
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     return rank

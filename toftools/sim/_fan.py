@@ -1,4 +1,4 @@
-"""Directions of rays from diffuse points: those of each point its own, or the same for all."""
+"""Directions of rays from diffuse points: of each its own, completing a neighbour's, or shared."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -131,6 +131,26 @@ def shared_fan(mi: Any, rays: int, seed: int) -> Fan:  # noqa: ANN401 - the modu
     return Fan(rays, square, lambda _: root, rng.random())
 
 
+def away_of(mi: Any, up: Jit, square: Jit) -> Jit:  # noqa: ANN401 - the module mitsuba
+    """Directions by the cosine.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a Dr.Jit variant set.
+    up : Normal3f
+        Normals.
+    square : Point2f
+        Points of the unit square.
+
+    Returns
+    -------
+    Vector3f
+        Unit vectors.
+    """
+    return mi.Frame3f(up).to_world(mi.warp.square_to_cosine_hemisphere(square))
+
+
 def along_curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
     """Places on a curve of Morton's, which keeps near points near.
 
@@ -150,3 +170,20 @@ def along_curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
         for axis, row in enumerate(bits):
             found |= ((row >> level) & 1) << (len(bits) * level + axis)
     return found
+
+
+def sides_of(n: Any) -> Any:  # noqa: ANN401 - floats to ints
+    """Which axis normals are nearest to, and its sign, as a number from 0 to 5.
+
+    Parameters
+    ----------
+    n : ndarray, (3, N)
+        Normals.
+
+    Returns
+    -------
+    ndarray of int, (N,)
+        Twice the axis, and 1 more along it.
+    """
+    axis = np.abs(n).argmax(axis=0)
+    return 2 * axis + (np.take_along_axis(n, axis[None], 0)[0] > 0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toftools.sim._cache import Cache, solved
-from toftools.sim._fan import own_fan, shared_fan
+from toftools.sim._fan import away_of, own_fan, shared_fan
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._lookup import DEEPEST, looked_up, sharpened
@@ -26,7 +26,7 @@ from toftools.sim._viewpoints import Viewpoint
 from toftools.sim._virtual import Channels, Virtual, virtual_lights
 from toftools.types import F64
 
-PER_RAY = 32
+PER_RAY = 16
 """Virtual lights per ray of a point."""
 FEWEST, MOST_RAYS = 32, 1024
 KEEP = 64
@@ -102,7 +102,7 @@ def share_met(task: Task, points: Jit, rays: int, seed: int) -> F64:
 
     def body(number: Jit, met: Jit) -> tuple[Jit, Jit]:
         square = pair(mi, number, key, mi.UInt32(0))
-        away = mi.Frame3f(up).to_world(mi.warp.square_to_cosine_hemisphere(square))
+        away = away_of(mi, up, square)
         nearby = next_hit(task, points, away, active)
         return number + 1, met + dr.select(active & scatters_alike(mi, nearby), 1.0, 0.0)
 
@@ -144,19 +144,20 @@ def light_field(
     Field
         Light everywhere.
     """
-    rays = int(np.clip(1 << (total // PER_RAY).bit_length(), FEWEST, MOST_RAYS))
+    rays = int(np.clip(1 << max(total // PER_RAY - 1, 0).bit_length(), FEWEST, MOST_RAYS))
     lights = virtual_lights(task, views, total, channels, seed)
+    left = None if bounces is None else bounces - 1
+    if left == 0:
+        return Field(views, channels, lights, None, rays, 0, 0, seed)
     near = _nearby(task, views, points, total, NEARBY * len(lights.albedo), seed)
     sets = [*lights.at, *near]
     if not sets:
         return Field(views, channels, lights, None, rays, 0, KEEP, seed)
     spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
-    left = None if bounces is None else bounces - 1
     spacing = float(spacing_m) / task.stage.unit_m
-    before = None if left is None else max(left - 1, 0)
+    before = None if left is None else left - 1
     cache = solved(task, sets, spacing, channels, before, seed + 0x77)
-    if left != 0:
-        cache = sharpened(task, sets, cache, channels, seed + 0x99)
+    cache = sharpened(task, sets, cache, channels, seed + 0x99)
     follow = 0 if left is not None else DEEPEST
     return Field(views, channels, lights, cache, rays, follow, KEEP, seed)
 

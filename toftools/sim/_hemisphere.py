@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import Fan
+from toftools.sim._fan import Fan, away_of
 from toftools.sim._followed import followed
 from toftools.sim._hits import Hits, joined, no_hits
 from toftools.sim._light_map import LightMap, row_of
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
-from toftools.sim._sweep import Against, away_of, swept
+from toftools.sim._sweep import Against, swept
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.sim._virtual import Channels
 from toftools.types import F64

@@ -57,8 +57,6 @@ class Indirect:
         Standard error of range, interpolation included, m.
     told : dict
         How it was made (JSON values).
-    lights : int
-        Virtual lights of all estimates.
     """
 
     one_bounce: C128
@@ -66,7 +64,6 @@ class Indirect:
     ambient: F64
     error_m: F64
     told: dict[str, Any]
-    lights: int
 
 
 def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Indirect:
@@ -201,4 +198,4 @@ def _made(
         told["tolerance_met"] = bool(np.hypot(reached_m, plan.error_m) <= scene.order.tol_m)
     both = pooled(np.sqrt(error_m**2 + plan.error_m**2), lit_of(scene))
     plain = (one + rest)[kinds:].real.sum(axis=0)
-    return Indirect(one[:kinds], rest[:kinds], plain, both, told, lights)
+    return Indirect(one[:kinds], rest[:kinds], plain, both, told)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._fan import sides_of
 from toftools.sim._flash import opaque
 from toftools.sim._hits import Hits
 from toftools.sim._phasors import C128
@@ -84,9 +85,7 @@ def light_map(
         size *= 1.1
     x, y, z = ((high - low) // size).astype(int) + 1
     at = np.minimum(((hits.p - low[:, None]) / size).astype(int), [[x - 1], [y - 1], [z - 1]])
-    axis = np.abs(hits.n).argmax(axis=0)
-    side = 2 * axis + (np.take_along_axis(hits.n, axis[None], 0)[0] > 0)
-    cell = ((at[2] * y + at[1]) * x + at[0]) * SIDES + side
+    cell = ((at[2] * y + at[1]) * x + at[0]) * SIDES + sides_of(hits.n)
     count = np.bincount(cell, minlength=x * y * z * SIDES)
     known = np.flatnonzero(count)
     number = np.full(count.size, known.size, np.uint32)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import Fan
+from toftools.sim._fan import Fan, away_of
 from toftools.sim._followed import lit
 from toftools.sim._light_map import LightMap, row_of, tables_of
 from toftools.sim._phasors import C128, cycles_per_m, turn
@@ -123,26 +123,6 @@ def swept(
     each = shares.numpy().reshape(width, -1)
     light, guessed = (_complex(part) / fan.rays for part in (sums, more))
     return Swept(light, guessed, np.asarray(ones.numpy(), np.float64) / fan.rays, each)
-
-
-def away_of(mi: Any, up: Jit, square: Jit) -> Jit:  # noqa: ANN401 - the module mitsuba
-    """Directions by the cosine.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba with a Dr.Jit variant set.
-    up : Normal3f
-        Normals.
-    square : Point2f
-        Points of the unit square.
-
-    Returns
-    -------
-    Vector3f
-        Unit vectors.
-    """
-    return mi.Frame3f(up).to_world(mi.warp.square_to_cosine_hemisphere(square))
 
 
 def _guessing(task: Task, channels: Channels, guess: LightMap | None) -> Callable[..., Jit]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.sim._fan import away_of
 from toftools.sim._flash import opaque
 from toftools.sim._second import scatters_alike, up_of
 from toftools.sim._segments import above, segment
@@ -217,7 +218,7 @@ def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F
                 break
             index = dr.arange(mi.UInt32, dr.width(si.t))
             number = pair(mi, index, hashed(mi, mi.UInt32(77 + step)), mi.UInt32(0))
-            away = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(number))
+            away = away_of(mi, normal, number)
             nearby = next_hit(task, si, away, mi.Bool(True))
             valid, facing = scatters_alike(mi, nearby), up_of(nearby)
             dr.eval(nearby, facing)
