@@ -233,6 +233,26 @@ def test_modulated_lamps_are_left_to_path():
 # Requests at the edge
 
 
+def test_lamps_where_no_pixel_sees_a_diffuse_surface():
+    shiny = plane([0, 0, 3], [9, 0, 0], [0, -9, 0], material("plastic", 0.5))
+    lamp = {**sphere([0, 0, -2], 0.1, GREY), "emitter": {"type": "area", "radiance": 1.0}}
+    world = from_dict({"back": shiny, "lamp": lamp}, to_world=np.eye(4))
+    ours, theirs = (
+        captures(engine, world, ideal(4, 3), [4], samples=16)[0] for engine in (radiosity, path)
+    )
+    assert ours.provenance["left_to_path"] == 1
+    assert np.array_equal(ours.truth.direct, theirs.truth.direct)
+
+
+def test_a_shiny_thing_may_come_into_view_later():
+    ball = sphere([-1.6, 0, 2], 0.3, material("plastic", 0.5))
+    world = from_dict({"back": BACK, "ball": ball}, to_world=np.eye(4),
+                      velocity_mps={"ball": (20.0, 0, 0)})  # fmt: skip
+    device = ideal(12, 9, (20e6,), more=",hfov_deg=39.3077,tap_interval_s=0.02")
+    (capture,) = captures(radiosity, world, device, [4], samples=16)
+    assert np.isfinite(capture.taps.values).all()
+
+
 def test_nothing_is_seen():
     aside = World({"box": box([900, 0, 2], [0.3, 0.3, 0.3], 0, GREY)})
     (capture,) = captures(radiosity, aside, ideal(4, 3), [0], tol_m=1e-3)
