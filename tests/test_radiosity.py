@@ -248,7 +248,7 @@ def test_a_shiny_thing_may_come_into_view_later():
     ball = sphere([-1.6, 0, 2], 0.3, material("plastic", 0.5))
     world = from_dict({"back": BACK, "ball": ball}, to_world=np.eye(4),
                       velocity_mps={"ball": (20.0, 0, 0)})  # fmt: skip
-    device = ideal(12, 9, (20e6,), more=",hfov_deg=39.3077,tap_interval_s=0.02")
+    device = ideal(6, 4, (20e6,), more=",hfov_deg=39.3077,tap_interval_s=0.02")
     (capture,) = captures(radiosity, world, device, [4], samples=16)
     assert np.isfinite(capture.taps.values).all()
 
