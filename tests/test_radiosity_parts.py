@@ -149,7 +149,7 @@ def test_the_cache_solves_its_equations():
         arrived = hemisphere(task, some, fan, CHANNELS)
         once.append(arrived.one_bounce + arrived.rest)
         near = nearest(cache, arrived.hits)
-        matrices = lookups(cache, arrived.hits, near, count, CHANNELS)
+        matrices = list(lookups(cache, arrived.hits, near, count, CHANNELS))
         whole = np.bincount(arrived.hits.lane, arrived.hits.weight, count)
         assert matrices[0].sum(axis=1) == pytest.approx(whole)
         rows.append([matrix.toarray() for matrix in matrices])

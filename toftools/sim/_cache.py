@@ -16,6 +16,7 @@ leave to wish for, many bring at little cost once the light is known (`_lookup.s
 """
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -120,12 +121,10 @@ def solved(
     every = joined(hits)
     near = nearest(empty, every)
     matrices = lookups(empty, every, near, start, channels)
-    if bounces is None:
-        later = np.stack([_converged(m, albedo, x) for m, x in zip(matrices, once, strict=True)])
-    else:
-        later = once
-        for _ in range(bounces - 1):
-            later = once + applied(matrices, albedo * later)
+    later = np.stack([
+        _converged(m, albedo, x) if bounces is None else _bounced(m, albedo, x, bounces)
+        for m, x in zip(matrices, once, strict=True)
+    ])  # fmt: skip
     if not every.weight.size:
         return Cache(tree, scale, later, albedo, None)
     looked_at = (_shares(empty, near[0]), near[1])
@@ -145,6 +144,14 @@ def _converged(matrix: Any, albedo: F64, once: C128) -> C128:  # noqa: ANN401 - 
     if failed:
         log.warning("light of many bounces is not exact: try a darker scene")
     return np.asarray(light)
+
+
+def _bounced(matrix: Any, albedo: F64, once: C128, bounces: int) -> C128:  # noqa: ANN401
+    """Light of some bounces of one channel."""
+    light = once
+    for _ in range(bounces - 1):
+        light = once + matrix @ (albedo * light)
+    return light
 
 
 def ranks(sets: list[Jit]) -> Any:  # noqa: ANN401 - ints
@@ -205,8 +212,8 @@ def nearest(cache: Cache, hits: Hits) -> tuple[F64, Any]:
 
 def lookups(
     cache: Cache, hits: Hits, near: tuple[F64, Any], lanes: int, channels: Channels
-) -> list[Any]:
-    """Where hits look for their light, as one sparse matrix per channel.
+) -> Iterator[Any]:
+    """Where hits look for their light, as one sparse matrix per channel, made when asked for.
 
     Parameters
     ----------
@@ -221,9 +228,9 @@ def lookups(
     channels : Channels
         Frequencies.
 
-    Returns
-    -------
-    list of scipy.sparse.csr_array, (W, K)
+    Yields
+    ------
+    scipy.sparse.csr_array, (W, K)
         Weights with the phase of the way.
     """
     from scipy.sparse import csr_array
@@ -232,12 +239,10 @@ def lookups(
     order = np.argsort(hits.lane, kind="stable")
     begin = np.searchsorted(hits.lane[order], np.arange(lanes + 1)) * place.shape[1]
     column, share, length_m = place[order].ravel(), share[order], hits.length_m[order]
-    made: dict[float, Any] = {}
     for freq_hz in channels.freqs_hz:
         phase = np.exp(1j * path_to_phase(length_m, float(freq_hz)))[:, None]
-        made[freq_hz] = csr_array(((share * phase).ravel(), column, begin),
-                                  shape=(lanes, cache.tree.n))  # fmt: skip
-    return [made[freq_hz] for freq_hz in channels.freqs_hz]
+        values = (share * phase).ravel()
+        yield csr_array((values, column, begin), shape=(lanes, cache.tree.n))
 
 
 def _shares(cache: Cache, far: F64) -> F64:
@@ -265,21 +270,3 @@ def radiance(cache: Cache, light: C128, near: tuple[F64, Any]) -> C128:
     """
     share = _shares(cache, near[0])
     return np.stack([(share * row[near[1]]).sum(axis=1) for row in light])
-
-
-def applied(matrices: list[Any], light: C128) -> C128:
-    """Light that look-ups bring.
-
-    Parameters
-    ----------
-    matrices : list of scipy.sparse.csr_array, (W, K)
-        Out of `lookups`.
-    light : ndarray, (C, K), complex128
-        Radiance of the places.
-
-    Returns
-    -------
-    ndarray, (C, W), complex128
-        Mean radiance over the hemisphere.
-    """
-    return np.stack([m @ row for m, row in zip(matrices, light, strict=True)])

@@ -7,7 +7,7 @@ that radiance 1 everywhere would give what the points really see of diffuse surf
 virtual lights get wrong is a factor common to all light.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,8 @@ KEEP = 64
 NEARBY = 2.0
 """Places of the cache among nearby hits, per virtual light."""
 MOST_HITS = 1 << 21
-"""Rays of points at a time."""
+"""Rays of points at a time, times channels where those are many."""
+FEW_CHANNELS = 8
 SCOUTS = 2048
 """Points that tell where the cache should be finer."""
 
@@ -183,22 +184,24 @@ def arriving(task: Task, field: Field, points: Jit, met: F64 | None = None) -> t
     """
     import drjit as dr
 
-    step, parts = max(256, MOST_HITS // field.rays), []
+    channels = max(1, len(field.channels.freqs_hz) // FEW_CHANNELS)
+    step, parts = max(256, MOST_HITS // field.rays // channels), []
     for start in range(0, dr.width(points.t), step):
         index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start))
         index += dr.opaque(task.mi.UInt32, start)
         part = dr.gather(task.mi.SurfaceInteraction3f, points, index)
         dr.eval(part)  # else gathering from it evaluates every field by a kernel of its own
-        parts.append(
-            _arriving(task, field, part, None if met is None else met[start : start + step])
-        )
+        some = None if met is None else met[start : start + step]
+        parts.append(_arriving(task, field, part, some, field.seed + 0xB1 + start))
     kinds = np.zeros((len(field.channels.freqs_hz), 0), np.complex128)
     one, rest = zip(*parts, strict=True) if parts else ((kinds,), (kinds,))
     return np.concatenate(one, axis=1), np.concatenate(rest, axis=1)
 
 
-def _arriving(task: Task, field: Field, points: Jit, met: F64 | None) -> tuple[C128, C128]:
-    """The same for as many points as fit."""
+def _arriving(
+    task: Task, field: Field, points: Jit, met: F64 | None, seed: int
+) -> tuple[C128, C128]:
+    """The same for as many points as fit; the seed is that of further rays."""
     import drjit as dr
 
     mi, width, channels, cache = task.mi, dr.width(points.t), field.channels, field.cache
@@ -211,12 +214,13 @@ def _arriving(task: Task, field: Field, points: Jit, met: F64 | None) -> tuple[C
     one, rest, ones = gather(task, points, field.lights, later, channels, field.rays)
     if cache is None:
         return arrived.one_bounce + one, arrived.rest
-    hits = arrived.hits
-    ones, scale = ones + arrived.ones, np.ones(width)
+    hits, ones, scale = arrived.hits, ones + arrived.ones, np.ones(width)
     if met is not None:
         np.divide(met, ones, out=scale, where=ones > 0)
-    found = looked_up(task, cache, hits, width, channels, field.seed + 0xB1, field.follow)
-    rest = arrived.rest + scale * (rest + arrived.guessed + found)
+    # Light by way of other surfaces is not among the ones.
+    hits = replace(hits, weight=hits.weight * np.where(hits.straight, scale[hits.lane], 1.0))
+    found = looked_up(task, cache, hits, width, channels, seed, field.follow)
+    rest = arrived.rest + scale * (rest + arrived.guessed) + found
     return arrived.one_bounce + one, rest
 
 

@@ -157,7 +157,7 @@ def _met(
     far_m = nearby.t * task.stage.unit_m
     share = mi.Float((weight / fan.rays).astype(np.float32))
     dr.eval(nearby, straight, valid, far_m, share)
-    hits = [_hits(mi, dr.compress(straight), lanes, nearby, share, far_m, guess)]
+    hits = [_hits(mi, dr.compress(straight), lanes, nearby, (share, far_m), guess, straight=True)]
     other: Jit = dr.compress(valid & ~straight)
     if dr.width(other):
         some = dr.gather(mi.UInt32, lanes, other)
@@ -166,7 +166,8 @@ def _met(
         draw = (dr.gather(mi.UInt32, number, other), fan.key(some))
         light, end, share, far_m = followed(task, (*start, mi.Float(1)), draw, channels)
         dr.eval(light, end, share, far_m)
-        hits.append(_hits(mi, dr.compress(share > 0), some, end, share, far_m, None))
+        ended: Jit = dr.compress(share > 0)
+        hits.append(_hits(mi, ended, some, end, (share, far_m), None, straight=False))
         mine = np.asarray(some.numpy(), np.int64)
         for row, (real, imaginary) in zip(rest, light, strict=True):
             row += np.bincount(mine, real.numpy(), width)
@@ -179,13 +180,15 @@ def _hits(
     kept: Jit,
     lanes: Jit,
     at: Jit,
-    share: Jit,
-    length_m: Jit,
+    shares: tuple[Jit, Jit],
     guess: LightMap | None,
+    *,
+    straight: bool,
 ) -> Hits:
-    """Kept lanes in numpy."""
+    """Kept lanes in numpy; `shares` are their weights and ways."""
     import drjit as dr
 
+    share, length_m = shares
     if not dr.width(kept):
         return no_hits()
     at = dr.gather(mi.SurfaceInteraction3f, at, kept)
@@ -205,5 +208,6 @@ def _hits(
         weight=np.asarray(taken(mi.Float, share), np.float64),
         length_m=np.asarray(taken(mi.Float, length_m), np.float64),
         guessed=guessed,
+        straight=np.full(guessed.size, straight),
         at=[at],
     )

@@ -25,6 +25,8 @@ class Hits:
         Optical way from the point, m.
     guessed : ndarray of int, (K,)
         Row of `LightMap.light` that has been counted in its stead; -1 is dark.
+    straight : ndarray of bool, (K,)
+        Whether the way there led by no other surface.
     at : list of SurfaceInteraction3f
         The places, part by part.
     """
@@ -35,6 +37,7 @@ class Hits:
     weight: F64
     length_m: F64
     guessed: Any
+    straight: Any
     at: list[Jit]
 
 
@@ -48,6 +51,7 @@ def no_hits() -> Hits:
         none,
         none,
         none.astype(np.int64),
+        none.astype(bool),
         [],
     )
 
@@ -65,6 +69,6 @@ def joined(parts: list[Hits]) -> Hits:
     Hits
         All of them.
     """
-    names = ("lane", "p", "n", "weight", "length_m", "guessed")
+    names = ("lane", "p", "n", "weight", "length_m", "guessed", "straight")
     rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
     return Hits(**rows, at=[si for part in parts for si in part.at])

@@ -16,12 +16,10 @@ from toftools.sim._field import Field, arriving, light_field, share_met
 from toftools.sim._image import Order
 from toftools.sim._phasors import C128
 from toftools.sim._placing import placed
-from toftools.sim._seen import points_at, seen
+from toftools.sim._seen import Seen, points_at
 from toftools.sim._sparse import Plan
 from toftools.sim._task import Task
-from toftools.sim._viewpoints import viewpoints
-from toftools.sim._virtual import channels_of
-from toftools.sim._wanted import Wanted, errors_of, lit_of, pixels_of, pooled, wrong_m
+from toftools.sim._wanted import Wanted, errors_of, pixels_of, pooled, wanted, wrong_m
 from toftools.types import F64
 
 log = logging.getLogger(__name__)
@@ -39,8 +37,8 @@ than that calls for more estimates in place of better ones."""
 ROUNDS = 3
 AUDIT, PILOTS = 768, 4
 """Rounds at the most; points that measure errors, and rounds at those alone."""
-FEWEST_OPEN = 1024
-"""Rays that tell how open the scene is from a point, at the least."""
+FEWEST_OPEN, PER_OPEN = 512, 8
+"""Rays that tell how open the scene is from a point: at the least, and virtual lights to one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,7 @@ class Indirect:
     told: dict[str, Any]
 
 
-def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Indirect:
+def indirect(task: Task, order: Order, direct: C128, bounces: int | None, what: Seen) -> Indirect:
     """Indirect light at all pixels that see a diffuse surface.
 
     Parameters
@@ -79,17 +77,15 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
         Direct light, against which errors of phase count.
     bounces : int or None
         Indirect bounces; None for all.
+    what : Seen
+        What the camera sees.
 
     Returns
     -------
     Indirect
         Light and its error.
     """
-    what = seen(task, order.camera, order.side)
-    channels = channels_of(task, order.freqs_hz)
-    fine = direct.repeat(order.side, axis=1).repeat(order.side, axis=2)
-    views = viewpoints(task, order.seed)
-    scene = Wanted(task, order, what, views, channels, fine.reshape(len(direct), -1), bounces)
+    scene = wanted(task, order, direct, bounces, what)
     plan = placed(scene)
     log.info("gathered at %d of %d points", plan.pixels.size, what.diffuse.sum())
     apart, rounds = _audited(scene), 0
@@ -98,8 +94,7 @@ def indirect(task: Task, order: Order, direct: C128, bounces: int | None) -> Ind
         total = fields[0].lights.total
         runs, rounds = _runs(scene, fields, plan.pixels), rounds + 1
         error_m = errors_of(scene, plan, runs.sum(axis=1)[:, order.used])
-        lit = lit_of(scene)
-        reached_m = float(np.sqrt(np.mean(error_m[lit] ** 2))) if lit.any() else 0.0
+        reached_m = float(np.sqrt(np.mean(error_m[scene.lit] ** 2))) if scene.lit.any() else 0.0
         log.info("%d virtual lights, standard error %.2f mm rms", total, 1e3 * reached_m)
         done = order.samples is not None or total >= MOST or rounds == ROUNDS
         if done or reached_m <= ENOUGH * order.tol_m:
@@ -127,8 +122,8 @@ def _better(
 
 
 def _audited(scene: Wanted) -> Any:  # noqa: ANN401 - ints
-    """Points drawn evenly among all, whose light is gathered only to measure errors."""
-    able = np.flatnonzero(scene.what.diffuse)
+    """Points drawn evenly among those that count, gathered at only to measure errors."""
+    able = np.flatnonzero(scene.counted if scene.lit.any() else scene.what.diffuse)
     rng = np.random.default_rng(scene.order.seed)
     return np.sort(rng.choice(able, min(AUDIT, able.size), replace=False))
 
@@ -177,9 +172,14 @@ def _fields(scene: Wanted, plan: Plan, total: int, rounds: int) -> list[Field]:
 def _runs(scene: Wanted, fields: list[Field], number: Any) -> C128:  # noqa: ANN401 - ints
     """Light of one and of more bounces that each field brings to points, (P, 2, C, S)."""
     points = points_at(scene.task, scene.what, number)
-    rays = max(FEWEST_OPEN, fields[0].lights.total // 4)
-    met = share_met(scene.task, points, 1 << (rays - 1).bit_length(), scene.order.seed)
-    return np.stack([np.stack(arriving(scene.task, field, points, met)) for field in fields])
+
+    def of(field: Field) -> C128:
+        rays = max(FEWEST_OPEN, field.lights.total // PER_OPEN)
+        rays = 1 << (rays - 1).bit_length()
+        met = share_met(scene.task, points, rays, field.seed + 0x31)
+        return np.stack(arriving(scene.task, field, points, met))
+
+    return np.stack([of(field) for field in fields])
 
 
 def _made(
@@ -196,6 +196,6 @@ def _made(
     }
     if scene.order.samples is None:
         told["tolerance_met"] = bool(np.hypot(reached_m, plan.error_m) <= scene.order.tol_m)
-    both = pooled(np.sqrt(error_m**2 + plan.error_m**2), lit_of(scene))
+    both = pooled(np.sqrt(error_m**2 + plan.error_m**2), scene.lit)
     plain = (one + rest)[kinds:].real.sum(axis=0)
     return Indirect(one[:kinds], rest[:kinds], plain, both, told)

@@ -69,9 +69,12 @@ def placed(scene: Wanted) -> Plan:
         what.normal.reshape(*shape, 3),
         what.diffuse.reshape(shape),
     )
-    if what.diffuse.sum() <= SMALL:
+    every = what.diffuse.sum()
+    if every <= SMALL:
         return place(surface, nothing, errors_m, 0.0)
-    return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m)
+    # Points that do not count err by nothing, so that those that do may err more on average.
+    share = (scene.counted.sum() or every) / every
+    return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m * np.sqrt(share))
 
 
 def _roughly(scene: Wanted, number: Any, *lights: C128) -> list[C128]:  # noqa: ANN401 - ints

@@ -12,8 +12,8 @@ from toftools.sim._seen import Seen
 from toftools.sim._sparse import Plan, spread
 from toftools.sim._stop import range_errors_m
 from toftools.sim._task import Task
-from toftools.sim._viewpoints import Viewpoint
-from toftools.sim._virtual import Channels
+from toftools.sim._viewpoints import Viewpoint, viewpoints
+from toftools.sim._virtual import Channels, channels_of
 from toftools.types import F64
 from toftools.units import path_to_phase
 
@@ -23,7 +23,7 @@ FAINT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What all estimates share."""
+    """What all estimates share; pixels whose range counts are `lit`, their points `counted`."""
 
     task: Task
     order: Order
@@ -32,6 +32,19 @@ class Wanted:
     channels: Channels
     direct: C128
     bounces: int | None
+    lit: Any
+    counted: Any
+
+
+def wanted(task: Task, order: Order, direct: C128, bounces: int | None, what: Seen) -> Wanted:
+    """What an image wants; `direct` is that of its pixels, (Q, H, W)."""
+    side = order.side
+    fine = direct.repeat(side, axis=1).repeat(side, axis=2).reshape(len(direct), -1)
+    lit = lit_of(order, direct, what)
+    counted = lit.repeat(side, axis=0).repeat(side, axis=1).ravel()
+    channels = channels_of(task, order.freqs_hz)
+    views = viewpoints(task, order.seed)
+    return Wanted(task, order, what, views, channels, fine, bounces, lit, counted)
 
 
 def shown(what: Seen, light: C128, freqs_hz: F64, number: Any) -> C128:  # noqa: ANN401 - ints
@@ -44,26 +57,26 @@ def pixels_of(scene: Wanted, plan: Plan, values: C128, freqs_hz: F64) -> C128:
     """Radiance of pixels, (C, H, W), out of values (C, S) at the gathered points."""
     every = np.arange(len(scene.what.range_m))
     light = spread(plan, values).reshape(len(values), -1)
-    return np.asarray(averaged(scene, shown(scene.what, light, freqs_hz, every)))
+    return np.asarray(averaged(scene.order, shown(scene.what, light, freqs_hz, every)))
 
 
-def averaged(scene: Wanted, values: Any) -> Any:  # noqa: ANN401 - any kind
+def averaged(order: Order, values: Any) -> Any:  # noqa: ANN401 - any kind
     """Mean over the points of every pixel, (..., H, W)."""
-    (height, width), side = scene.order.camera.shape, scene.order.side
+    (height, width), side = order.camera.shape, order.side
     fine = values.reshape(*values.shape[:-1], height, side, width, side)
     return fine.mean(axis=(-3, -1))
 
 
 def total_of(scene: Wanted) -> C128:
-    return np.asarray(averaged(scene, scene.direct[scene.order.used]))
+    return np.asarray(averaged(scene.order, scene.direct[scene.order.used]))
 
 
-def lit_of(scene: Wanted) -> Any:  # noqa: ANN401 - bools
-    """Pixels whose range counts."""
-    size = np.abs(total_of(scene)).min(axis=0)
+def lit_of(order: Order, direct: C128, what: Seen) -> Any:  # noqa: ANN401 - bools
+    """Pixels whose range counts, (H, W)."""
+    size = np.abs(direct[order.used]).min(axis=0)
     if not size.any():
         return size > 0
-    diffuse = averaged(scene, scene.what.diffuse.astype(float)) == 1
+    diffuse = averaged(order, what.diffuse.astype(float)) == 1
     return diffuse & (size > FAINT * np.median(size[size > 0]))
 
 
@@ -84,11 +97,9 @@ def wrong_m(scene: Wanted, delta: C128, light: C128, number: Any) -> F64:  # noq
     """Errors of range that errors (..., F, M) of the indirect light (F, M) make at points, m."""
     used, what = scene.order.used, scene.what
     wave = scene.order.freqs_hz[used]
-    direct = scene.direct[used]
-    total = direct[:, number] + shown(what, light, wave, number)
-    size = np.abs(direct).min(axis=0)
-    counts = size[number] > FAINT * np.median(size[what.diffuse])
-    return np.where(counts, range_errors_m(shown(what, delta, wave, number), total, wave), 0.0)
+    total = scene.direct[used][:, number] + shown(what, light, wave, number)
+    wrong = range_errors_m(shown(what, delta, wave, number), total, wave)
+    return np.where(scene.counted[number], wrong, 0.0)
 
 
 def pooled(error_m: F64, lit: Any) -> F64:  # noqa: ANN401 - bools

@@ -28,7 +28,7 @@ from toftools.sim._exposure import Frame, check_antialias, engine
 from toftools.sim._image import Image, Order
 from toftools.sim._indirect import indirect
 from toftools.sim._render import ambient_of_lamps, render, tiles_of
-from toftools.sim._seen import seen
+from toftools.sim._seen import Seen, seen
 from toftools.sim._stop import Depth
 from toftools.sim._task import Task
 from toftools.sim._views import direct_of_pixels
@@ -111,10 +111,11 @@ def _frame(
     depth = SOLVED if shot.max_bounces is None else depth_of(task, shot, None)
     order = order_of(shot, depth, antialias, max_samples)
     image = _directly(task, order)
-    other, diffuse = _kinds(task, order)
+    what = seen(task, order.camera, order.side)
+    other, diffuse = _kinds(what, order)
     told: dict[str, Any] = {**told_of(depth), "left_to_path": float(other.mean())}
     if shot.max_bounces != 0 and diffuse.any():
-        light = indirect(task, order, image.direct, shot.max_bounces)
+        light = indirect(task, order, image.direct, shot.max_bounces, what)
         image = replace(
             image,
             one_bounce=light.one_bounce,
@@ -155,9 +156,9 @@ def _directly(task: Task, order: Order) -> Image:
     return Image(direct, none, none, found.ambient.reshape(height, width), blank, blank)
 
 
-def _kinds(task: Task, order: Order) -> tuple[Any, Any]:
+def _kinds(what: Seen, order: Order) -> tuple[Any, Any]:
     """Pixels that see anything that is not diffuse, and those that see only what is, (H, W)."""
-    what, (height, width) = seen(task, order.camera, order.side), order.camera.shape
+    height, width = order.camera.shape
     shape = (height, order.side, width, order.side)
     other, diffuse = (
         flags.reshape(shape).any(axis=(1, 3)) for flags in (what.met & ~what.diffuse, what.diffuse)
