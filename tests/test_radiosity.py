@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from path_proof import ideal
 
+from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.phasor import wrapped_range_m
 from toftools.sensors import sensor
@@ -177,6 +178,8 @@ def test_two_emitters_one_unmodulated_and_harmonics():
 
 # What is left to path
 
+GREY = material("diffuse", 0.5)
+BACK = plane([0, 0, 3], [9, 0, 0], [0, -9, 0], GREY)
 
 BALL, RADIUS = np.array([0.2, -0.3, 2.5]), 0.35
 
@@ -205,6 +208,14 @@ def test_bounces_cannot_be_counted_past_a_mirror():
     wholly_left(world, "not all surfaces are diffuse", max_bounces=1)
 
 
+def test_bounces_cannot_be_counted_by_bent_normals():
+    heights = np.random.default_rng(5).random((4, 4, 1), np.float32)
+    bitmap = {"type": "bitmap", "bitmap": import_mitsuba().Bitmap(heights), "raw": True}
+    bent = {"type": "bumpmap", "t": bitmap, "b": GREY}
+    world = World({"back": BACK, "box": box([0.4, 0, 2], [0.3, 0.3, 0.3], 0, bent)})
+    wholly_left(world, "not all surfaces are diffuse", max_bounces=1)
+
+
 def wholly_left(world, why, **fields):
     (ours,), (theirs,) = (
         captures(engine, world, SMALL, [4], samples=16, **fields) for engine in (radiosity, path)
@@ -213,10 +224,6 @@ def wholly_left(world, why, **fields):
     assert why in ours.provenance["left_why"]
     size = np.abs(theirs.phasors.values).max()
     assert np.abs(ours.phasors.values - theirs.phasors.values).max() < 1e-5 * size
-
-
-GREY = material("diffuse", 0.5)
-BACK = plane([0, 0, 3], [9, 0, 0], [0, -9, 0], GREY)
 
 
 def test_holes_are_left_to_path():
@@ -280,3 +287,8 @@ def test_same_seed_same_light_and_other_seed_other_light():
 def test_bad_parameters_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         radiosity(Scene("cornell"), **wrong)
+
+
+def test_more_lights_than_there_are_directions_are_refused():
+    with pytest.raises(ValueError, match=r"at most 65536 virtual lights .* got 65537"):
+        captures(radiosity, "cornell", ideal(4, 3), [0], samples=65537)

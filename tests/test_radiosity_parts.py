@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from path_proof import ideal
 
-from toftools._native import import_mitsuba
+from toftools._native import import_mitsuba, import_open3d
 from toftools.camera import rays
 from toftools.sim._cache import RAYS, lookups, nearest, ranks, solved
-from toftools.sim._fan import along_curve, own_fan, shared_fan, turned_fan
+from toftools.sim._fan import along_curve, box_of, own_fan, shared_fan, turned_fan
+from toftools.sim._field import arriving, light_field
 from toftools.sim._flash import flashes_of
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import _thinned, hemisphere
@@ -154,7 +155,7 @@ def test_the_cache_solves_its_equations():
         assert matrices[0].sum(axis=1) == pytest.approx(whole)
         rows.append([matrix.toarray() for matrix in matrices])
         start += count
-    albedo = np.concatenate([albedo_of(task, some) for some in at])
+    albedo = np.concatenate([albedo_of(some) for some in at])
     once = np.concatenate(once, axis=1)
     for i in range(2):
         system = np.concatenate([matrices[i] for matrices in rows]) * albedo
@@ -242,7 +243,7 @@ def test_cells_hold_the_mean_of_their_hits():
     mi, rng, count = import_mitsuba(), np.random.default_rng(1), 500
     p, n = rng.random((3, count)) * [[2.0], [0.5], [0.0]], rng.normal(size=(3, count))
     blank = np.zeros(count)
-    hits = Hits(np.arange(count), p, n, blank, blank, np.full(count, -1), [])
+    hits = Hits(np.arange(count), p, n, blank, blank, np.full(count, -1), np.ones(count, bool), [])
     places = rng.integers(0, 40, (count, 2))
     share = rng.random((count, 2))
     light = rng.normal(size=(2, 40)) + 1j * rng.normal(size=(2, 40))
@@ -262,6 +263,44 @@ def test_cells_hold_the_mean_of_their_hits():
     outside = row_of(mi, known, mi.Point3f(9, 9, 9), mi.Normal3f(0, 0, 1), mi.Bool(True)).numpy()
     assert not known.light[:, outside].any()
     assert lit_by(known, 2 * light).light == pytest.approx(2 * known.light)
+
+
+def test_a_far_place_makes_no_box_coarse():
+    p = np.random.default_rng(2).random((3, 1000)) * [[4.0], [1.0], [0.0]]
+    assert np.array_equal(box_of(p), [p.min(axis=1), p.max(axis=1)])
+    low, high = box_of(np.append(p, [[2e5], [-1e6], [9e6]], axis=1))
+    assert (low >= [-4, -4, -4]).all() and (high <= [8, 8, 8]).all()
+    assert (low <= p.min(axis=1)).all() and (high >= p.max(axis=1)).all()
+
+
+def test_areas_are_those_of_the_faces_where_normals_are_smooth(tmp_path):
+    open3d = import_open3d()
+    ball, file = open3d.geometry.TriangleMesh.create_icosahedron(2.0), str(tmp_path / "ball.ply")
+    ball.compute_vertex_normals()
+    open3d.io.write_triangle_mesh(file, ball)
+    world = World({"ball": {"type": "ply", "filename": file, "flip_normals": True, "b": GREY}})
+    task, total = task_of(world), 4000
+    place = np.array([0.3, -0.2, 0.4])
+    lights = virtual_lights(task, (Viewpoint(place, _chart(task, place), 1.0),), total, CHANNELS, 3)
+    assert lights.area_m2.sum() == pytest.approx(ball.get_surface_area(), rel=0.02)
+    assert np.linalg.norm(arrays(lights.n) * arrays(lights.p), axis=1).std() > 0.01
+
+
+def test_only_light_that_came_straight_is_scaled():
+    mirror = plane([-1, 0, 2], [0, 0, 9], [0, -9, 0], material("mirror", 0.9))
+    left = []
+    for world in (PLACES, World({**PLACES.description, "mirror": mirror})):
+        task = task_of(world)
+        points, views = points_of(task), viewpoints(task)
+        field = light_field(task, views, CHANNELS, points, 512, None, 1)
+        count = len(arrays(points.p))
+        (one, rest), (same, some) = (
+            arriving(task, field, points, met) for met in (None, np.zeros(count))
+        )
+        assert np.array_equal(one, same)
+        left.append(np.linalg.norm(some) / np.linalg.norm(rest))
+    assert left[0] == 0
+    assert 0.02 < left[1] < 0.9
 
 
 def test_rays_of_neighbours_complete_each_other():

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import along_curve, sides_of, turned_fan
+from toftools.sim._fan import along_curve, box_of, sides_of, turned_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits, joined
 from toftools.sim._light_map import LightMap, light_map
@@ -102,7 +102,7 @@ def solved(
     import drjit as dr
 
     tree, scale = _tree(sets, 2 * spacing)
-    albedo = np.concatenate([albedo_of(task, at) for at in sets])
+    albedo = np.concatenate([albedo_of(at) for at in sets])
     dark = np.zeros((len(channels.freqs_hz), len(albedo)), np.complex128)
     empty = Cache(tree, scale, dark, albedo, None)
     if bounces == 0:
@@ -171,8 +171,8 @@ def ranks(sets: list[Jit]) -> Any:  # noqa: ANN401 - ints
         np.concatenate([np.asarray(part.numpy()).reshape(3, -1) for part in parts], axis=1)
         for parts in ([at.p for at in sets], [up_of(at) for at in sets])
     )
-    low, size = p.min(axis=1, keepdims=True), np.ptp(p, axis=1).max()
-    curve = along_curve((p - low) / max(size, np.finfo(np.float32).tiny))
+    low, high = box_of(p)
+    curve = along_curve((p - low[:, None]) / max((high - low).max(), np.finfo(np.float32).tiny))
     order = np.lexsort((curve, sides_of(n)))
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))

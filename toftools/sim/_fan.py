@@ -11,6 +11,8 @@ from toftools.sim._task import Jit
 
 BITS = 12
 """Of a coordinate on the curve that orders directions."""
+RARE = 0.01
+"""Share of places, on either side, that may lie far out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,12 +166,31 @@ def along_curve(rows: Any) -> Any:  # noqa: ANN401 - float32 to ints
     ndarray of int, (N,)
         Numbers that order the points.
     """
-    bits = np.minimum(rows * (1 << BITS), (1 << BITS) - 1).astype(np.int64)
+    bits = np.clip(rows * (1 << BITS), 0, (1 << BITS) - 1).astype(np.int64)
     found = np.zeros(bits.shape[1], np.int64)
     for level in range(BITS):
         for axis, row in enumerate(bits):
             found |= ((row >> level) & 1) << (len(bits) * level + axis)
     return found
+
+
+def box_of(p: Any) -> tuple[Any, Any]:  # noqa: ANN401 - floats
+    """Box around places, but for the few that lie so far out that it would be coarse.
+
+    Parameters
+    ----------
+    p : ndarray, (3, N)
+        Places, one or more.
+
+    Returns
+    -------
+    tuple of ndarray, (3,)
+        Lowest and highest corner.
+    """
+    low, high = np.quantile(p, (RARE, 1 - RARE), axis=1)
+    span = high - low
+    span = np.maximum(span, span.max() / 2)
+    return np.maximum(p.min(axis=1), low - span), np.minimum(p.max(axis=1), high + span)
 
 
 def sides_of(n: Any) -> Any:  # noqa: ANN401 - floats to ints

@@ -137,7 +137,8 @@ def flash_light(
     local = si.to_local(to)
     value = si.bsdf().eval(mi.BSDFContext(), si, local, active)[0]
     dist_m = far * stage.unit_m
-    value *= dr.pi * flash.strength / dr.square(dist_m)
+    strength, delay_m = opaque(mi, (flash.strength, flash.delay_m))
+    value *= dr.pi * strength / dr.square(dist_m)
     if flash.beam is not None:
         axis = mi.Vector3f(*opaque(mi, flash.axis))
         value *= beam_at(mi, flash.beam, dr.safe_acos(-dr.dot(to, axis)), active)
@@ -145,7 +146,7 @@ def flash_light(
     if not lit:
         value *= share_seen(mi, stage.scene, si, place, seen)
     optical_m = dr.select(si.wi.z * local.z < 0, 1.0, ior) * dist_m
-    return dr.select(seen, value, 0.0), optical_m + flash.delay_m
+    return dr.select(seen, value, 0.0), optical_m + delay_m
 
 
 def opaque(mi: Any, values: Any) -> list[Jit]:  # noqa: ANN401 - module, numbers

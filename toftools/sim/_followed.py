@@ -11,7 +11,7 @@ LONGEST = 32
 """Surfaces in a row that are not diffuse."""
 
 
-def lit(
+def direct_along(
     task: Task, si: Jit, active: Jit, weight: Jit, path_m: Jit, channels: Channels, ior: Jit = 1.0
 ) -> list[tuple[Jit, Jit]]:
     """Direct light of surfaces, turned by the way to the viewer.
@@ -70,7 +70,7 @@ def followed(
     Returns
     -------
     list of tuple of Float
-        Direct light of all further surfaces, as in `lit`.
+        Direct light of all further surfaces, as in `direct_along`.
     SurfaceInteraction3f, Float, Float
         Last surface, weight there (0 if none is diffuse), and optical way to it, m.
     """
@@ -89,7 +89,7 @@ def followed(
         weight = dr.select(active, dr.select(hit, weight * value[0], 0.0), weight)
         far_m = nearby.t * task.stage.unit_m
         length_m = length_m + dr.select(hit, ior * far_m, 0.0)
-        light = lit(task, nearby, hit, weight, length_m, channels, ior)
+        light = direct_along(task, nearby, hit, weight, length_m, channels, ior)
         rest = [(a + c, b + d) for (a, b), (c, d) in zip(rest, light, strict=True)]
         ended = hit & scatters_alike(mi, nearby)
         at = dr.select(hit, nearby, at)

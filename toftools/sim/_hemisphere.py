@@ -26,7 +26,7 @@ from toftools.sim._followed import followed
 from toftools.sim._hits import Hits, joined, no_hits
 from toftools.sim._light_map import LightMap, row_of
 from toftools.sim._phasors import C128
-from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._second import face_of, scatters_alike, up_of
 from toftools.sim._sweep import Against, swept
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.sim._virtual import Channels
@@ -196,7 +196,8 @@ def _hits(
     dr.eval(at, normal)
     guessed = np.full(dr.width(kept), -1)
     if guess is not None:
-        guessed = np.asarray(row_of(mi, guess, at.p, normal, mi.Bool(True)).numpy(), np.int64)
+        rows = row_of(mi, guess, at.p, face_of(at), mi.Bool(True))  # as `_sweep` has taken it
+        guessed = np.asarray(rows.numpy(), np.int64)
 
     def taken(kind: Any, values: Jit) -> Any:  # noqa: ANN401
         return dr.gather(kind, values, kept).numpy()

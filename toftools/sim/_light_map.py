@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._fan import sides_of
+from toftools.sim._fan import box_of, sides_of
 from toftools.sim._flash import opaque
 from toftools.sim._hits import Hits
 from toftools.sim._phasors import C128
@@ -79,18 +79,20 @@ def light_map(
     """
     from scipy.sparse import csr_array
 
-    low, high = hits.p.min(axis=1), hits.p.max(axis=1)
+    low, high = box_of(hits.p)
     size = float(np.max([size, 1e-6 * (high - low).max(), np.finfo(np.float32).tiny]))
     while np.prod((high - low) // size + 1) * SIDES > MOST_CELLS:
         size *= 1.1
     x, y, z = ((high - low) // size).astype(int) + 1
-    at = np.minimum(((hits.p - low[:, None]) / size).astype(int), [[x - 1], [y - 1], [z - 1]])
-    cell = ((at[2] * y + at[1]) * x + at[0]) * SIDES + sides_of(hits.n)
+    inside = ((hits.p >= low[:, None]) & (hits.p <= high[:, None])).all(axis=0)
+    at = ((hits.p[:, inside] - low[:, None]) / size).astype(int)
+    at = np.minimum(at, [[x - 1], [y - 1], [z - 1]])
+    cell = ((at[2] * y + at[1]) * x + at[0]) * SIDES + sides_of(hits.n[:, inside])
     count = np.bincount(cell, minlength=x * y * z * SIDES)
     known = np.flatnonzero(count)
     number = np.full(count.size, known.size, np.uint32)
     number[known] = np.arange(known.size)
-    share, place = near
+    share, place = near[0][inside], near[1][inside]
     row = np.repeat(number[cell], place.shape[1])
     weight = (share / count[cell][:, None]).ravel()
     mean = csr_array((weight, (row, place.ravel())), (known.size, light.shape[1]))

@@ -125,7 +125,7 @@ def _further(
     """Light of some hits by rays of their own, (C, n)."""
     found, start = [], 0
     for at in _surfaces(task, hits, np.flatnonzero(coarse)):
-        number, albedo = _lanes(task, at, start), albedo_of(task, at)
+        number, albedo = _lanes(task, at, start), albedo_of(at)
         start += len(albedo)
         fan = own_fan(task.mi, FURTHER, lane_keys(task.mi, number, seed))
         arrived = hemisphere(task, at, fan, channels)

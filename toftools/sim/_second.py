@@ -121,6 +121,11 @@ def up_of(si: Jit) -> Jit:
     return facing(si.sh_frame.n, si.to_world(si.wi))
 
 
+def face_of(si: Jit) -> Jit:
+    """Normal of the surface itself, as areas need it, on the side that is looked at."""
+    return facing(si.n, si.to_world(si.wi))
+
+
 def geometry(si: Jit, p: Jit, n: Jit, sh_n: Jit) -> tuple[Jit, Jit, Jit]:
     """From first surfaces to a second point: direction, cosine there over distance squared, way.
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from toftools.sim._fan import Fan, away_of
-from toftools.sim._followed import lit
+from toftools.sim._followed import direct_along
 from toftools.sim._light_map import LightMap, row_of, tables_of
 from toftools.sim._phasors import C128, cycles_per_m, turn
-from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._second import face_of, scatters_alike, up_of
 from toftools.sim._task import Jit, Task, next_hit
 from toftools.sim._viewpoints import Viewpoint, density
 from toftools.sim._virtual import Channels
@@ -101,7 +101,7 @@ def swept(
         nearby = next_hit(task, si, away, active)
         hit = active & nearby.is_valid()
         diffuse = hit & scatters_alike(mi, nearby)
-        far_m, facing = dr.select(hit, nearby.t * task.stage.unit_m, 1.0), up_of(nearby)
+        far_m, facing = dr.select(hit, nearby.t * task.stage.unit_m, 1.0), face_of(nearby)
         share = dr.select(diffuse, mi.Float(1), 0.0)
         if against is not None:
             x = mi.Float(count) * dr.dot(up, away) * -dr.dot(facing, away)
@@ -109,7 +109,7 @@ def swept(
             dense = density(task, against.views, against.total, nearby.p, facing, diffuse)
             share = dr.select(diffuse & (x > 0), x / (dense + x), 0.0)  # along the surface: 0 / 0
         weight = dr.select(diffuse, share, mi.Float(1))
-        light = lit(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
+        light = direct_along(task, nearby, hit, weight, dr.select(hit, far_m, 0.0), channels)
         marked = dr.select(hit & ~diffuse, mi.Float(-1), share)
         dr.scatter(shares, marked, local * count + number)
         sums = [(a + c, b + d) for (a, b), (c, d) in zip(sums, light, strict=True)]

@@ -22,7 +22,7 @@ import numpy as np
 
 from toftools.sim._fan import away_of
 from toftools.sim._flash import opaque
-from toftools.sim._second import scatters_alike, up_of
+from toftools.sim._second import face_of, scatters_alike
 from toftools.sim._segments import above, segment
 from toftools.sim._sobol import hashed, pair
 from toftools.sim._task import Jit, Task, next_hit
@@ -153,7 +153,7 @@ def shoot(task: Task, view: Viewpoint, count: int, seed: int) -> tuple[Jit, Jit]
     dr.eval(si)  # else gathering evaluates every field by a kernel of its own
     found: Jit = dr.compress(scatters_alike(mi, si))
     si = dr.gather(mi.SurfaceInteraction3f, si, found)
-    normal = up_of(si) if dr.width(found) else mi.Normal3f()
+    normal = face_of(si) if dr.width(found) else mi.Normal3f()
     dr.eval(si, normal)
     return si, normal
 
@@ -217,10 +217,10 @@ def _unseen(task: Task, views: tuple[Viewpoint, ...], seed: int) -> tuple[F64, F
             if dr.width(si.t) == 0:
                 break
             index = dr.arange(mi.UInt32, dr.width(si.t))
-            number = pair(mi, index, hashed(mi, mi.UInt32(77 + step)), mi.UInt32(0))
+            number = pair(mi, index, hashed(mi, dr.opaque(mi.UInt32, 77 + step)), mi.UInt32(0))
             away = away_of(mi, normal, number)
             nearby = next_hit(task, si, away, mi.Bool(True))
-            valid, facing = scatters_alike(mi, nearby), up_of(nearby)
+            valid, facing = scatters_alike(mi, nearby), face_of(nearby)
             dr.eval(nearby, facing)
             probes += int(np.count_nonzero(valid.numpy())) if step == 0 else 0
             hidden = valid & (density(task, views, 1, nearby.p, facing, valid) <= 0)

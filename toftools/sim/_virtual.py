@@ -130,19 +130,17 @@ def virtual_lights(
         p=p,
         n=n,
         area_m2=area,
-        albedo=np.concatenate([albedo_of(task, si) for si in at]),
-        direct=np.concatenate([lit(task, si, channels) for si in at], axis=1),
+        albedo=np.concatenate([albedo_of(si) for si in at]),
+        direct=np.concatenate([direct_of(task, si, channels) for si in at], axis=1),
         total=total,
     )
 
 
-def albedo_of(task: Task, si: Jit) -> F64:
+def albedo_of(si: Jit) -> F64:
     """Diffuse albedo of surface points.
 
     Parameters
     ----------
-    task : Task
-        Scene.
     si : SurfaceInteraction3f
         Points.
 
@@ -155,7 +153,7 @@ def albedo_of(task: Task, si: Jit) -> F64:
     return np.asarray(np.broadcast_to(value.numpy(), np.shape(si.t.numpy())), np.float64)
 
 
-def lit(task: Task, si: Jit, channels: Channels) -> C128:
+def direct_of(task: Task, si: Jit, channels: Channels) -> C128:
     """Radiance of diffuse points by the camera's sources.
 
     Parameters

@@ -26,7 +26,7 @@ import numpy as np
 
 from toftools.sim._exposure import Frame, check_antialias, engine
 from toftools.sim._image import Image, Order
-from toftools.sim._indirect import indirect
+from toftools.sim._indirect import MOST, indirect
 from toftools.sim._render import ambient_of_lamps, render, tiles_of
 from toftools.sim._seen import Seen, seen
 from toftools.sim._stop import Depth
@@ -38,6 +38,9 @@ from toftools.types import Capture, Scene, Shot
 
 SOLVED = Depth(512, 0.0, "all of them, as diffuse light is solved for")
 """Bounces of an image whose light is solved for; the number is that of `path` at its most."""
+
+BENT = ("BumpMap", "NormalMap")
+"""Materials that scatter about a normal of their own."""
 
 
 def radiosity(
@@ -75,6 +78,9 @@ def radiosity(
         raise ValueError(msg)
 
     def expose(task: Task, shot: Shot, earlier: Frame | None) -> Frame:
+        if shot.samples is not None and shot.samples > MOST:
+            msg = f"radiosity takes at most {MOST} virtual lights (spp), got {shot.samples}"
+            raise ValueError(msg)
         obstacle = _obstacle(task, shot)
         if obstacle is None:
             return _frame(task, shot, earlier, antialias, max_samples)
@@ -101,7 +107,12 @@ def _all_diffuse(task: Task) -> bool:
     kinds = task.mi.BSDFFlags
     other = kinds.Glossy | kinds.Delta | kinds.DiffuseTransmission
     shapes = (shape.bsdf() for shape in task.stage.scene.shapes())
-    return not any(bsdf.flags() & other for bsdf in shapes if bsdf is not None)
+    # Flags tell nothing of bent normals; what a material is made of does.
+    return not any(
+        bsdf.flags() & other or any(name in str(bsdf) for name in BENT)
+        for bsdf in shapes
+        if bsdf is not None
+    )
 
 
 def _frame(
