@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 REPLICATES = 4
 FIRST, MOST = 1024, 1 << 16
 """Virtual lights of an estimate in the first round, and at the most."""
-LOOSE_M = 0.01
+LOOSE_M = 0.005
 """Tolerance from which a quarter of the first lights may do."""
 FALL = 0.8
 """Exponent with which the error falls with the number of virtual lights, as measured."""

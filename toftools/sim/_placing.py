@@ -16,8 +16,8 @@ BETWEEN = 0.75
 """Share of the tolerance that interpolation may take."""
 SMALL = 1024
 """Points of which so few are all gathered at."""
-PLACING = 8192
-"""Virtual lights of that estimate."""
+PLACING, ROUGH_M = 8192, 4e-3
+"""Virtual lights of that estimate, and tolerance from which a quarter of them will do."""
 
 
 def placed(scene: Wanted) -> Plan:
@@ -44,9 +44,12 @@ def placed(scene: Wanted) -> Plan:
     def evaluate(number: Any) -> C128:  # noqa: ANN401 - ints
         points = points_at(task, what, number)
         if not known:
-            seed = scene.order.seed + 99
+            seed, total = (
+                scene.order.seed + 99,
+                PLACING // (1 if scene.order.tol_m < ROUGH_M else 4),
+            )
             field = light_field(
-                task, scene.views, scene.channels, points, PLACING, scene.bounces, seed
+                task, scene.views, scene.channels, points, total, scene.bounces, seed
             )
             one, rest = (light[used] for light in arriving(task, field, points))
             known["one"], known["rest"] = _roughly(scene, number, one, rest)
