@@ -271,7 +271,7 @@ def test_a_stray_file_beside_the_captures_replaces_no_library(tmp_path):
 def test_two_runs_in_one_folder_are_refused(tmp_path):
     with (
         only_run(tmp_path),
-        pytest.raises(ValueError, match="another benchmark is running"),
+        pytest.raises(ValueError, match="another run is at work"),
         only_run(tmp_path),
     ):
         pass

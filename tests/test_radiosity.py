@@ -226,9 +226,34 @@ def wholly_left(world, why, **fields):
     assert np.abs(ours.phasors.values - theirs.phasors.values).max() < 1e-5 * size
 
 
-def test_holes_are_left_to_path():
+LEAVES = {"type": "checkerboard", "color0": 0.0, "color1": 1.0, "to_uv": np.diag([6.0, 6, 1, 1])}
+
+
+@pytest.mark.parametrize("opacity", [LEAVES, 0.5])
+def test_light_through_holes_and_veils(opacity):
+    """A panel before the boxes: pixels beside it, and behind its holes, need no path."""
+    paint = {"type": "mask", "opacity": opacity, "n": material("diffuse", 0.7)}
+    boxes = world_of(Scene("cornell")).description
+    panel = quad(
+        [0, 0.1, boxes["small"]["to_world"][2, 3] - 0.3], [0.5, 0, 0.3], [0, -0.6, 0], paint
+    )
+    world = World({**boxes, "panel": panel})
+    (first,) = captures(radiosity, world, SMALL, [0], samples=16)
+    assert 0.05 < first.provenance["left_to_path"] < 0.4
+    away = rays(SMALL.camera)
+    agree(world, where=away[..., 1] > 0.2, paths=512)
+
+
+def test_where_little_is_diffuse_all_is_left_to_path():
+    shiny = quad([0, 0, 2], [0.6, 0, 0], [0, -0.9, 0], material("plastic", 0.5))
+    wholly_left(World({"back": BACK, "shiny": shiny}), "not diffuse", max_bounces=None)
+
+
+def test_lamps_behind_holes_are_left_to_path():
     veil = quad([0, 0, 2], [0.4, 0, 0], [0, -0.4, 0], {"type": "mask", "opacity": 0.5, "n": GREY})
-    wholly_left(World({"back": BACK, "veil": veil}), "holes or veils", max_bounces=2)
+    lamp = {**sphere([0.5, -0.5, 2], 0.1, GREY), "emitter": {"type": "area", "radiance": 1.0}}
+    world = from_dict({"back": BACK, "veil": veil, "lamp": lamp}, to_world=np.eye(4), lamp_gain=1)
+    wholly_left(world, "lamps shine")
 
 
 def test_modulated_lamps_are_left_to_path():

@@ -170,6 +170,23 @@ def import_mitsuba(variant: str = "llvm_ad_mono") -> Any:  # noqa: ANN401 - a mo
     return mitsuba
 
 
+def limit_threads(count: int) -> None:
+    """Leave cores to other processes.
+
+    Parameters
+    ----------
+    count : int
+        Threads that kernels of this process may use.
+    """
+    import numba
+
+    import_mitsuba()
+    import drjit
+
+    drjit.set_thread_count(count)
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+
+
 def import_open3d() -> Any:  # noqa: ANN401 - a module
     """Open3D, with the libusb it needs.
 

@@ -119,7 +119,7 @@ def only_run(out: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            msg = f"another benchmark is running in {out}; wait for it, or give another --out"
+            msg = f"another run is at work in {out}; wait for it, or give another --out"
             raise ValueError(msg) from error
         yield
 

@@ -1,4 +1,7 @@
-"""Rays that met surfaces which are not diffuse, scattered on to the first diffuse one."""
+"""Rays that met surfaces which are not diffuse, scattered on to the first diffuse one.
+
+So do rays that pass through holes and veils; what they meet is still the first surface.
+"""
 
 from toftools.sim._flash import flash_light
 from toftools.sim._phasors import cycles_per_m, turn
@@ -53,7 +56,7 @@ def direct_along(
 
 def followed(
     task: Task, begin: tuple[Jit, ...], draw: tuple[Jit, Jit], channels: Channels
-) -> tuple[Jit, Jit, Jit, Jit]:
+) -> tuple[Jit, ...]:
     """Scatter rays on until they meet a diffuse surface.
 
     Parameters
@@ -70,7 +73,9 @@ def followed(
     Returns
     -------
     list of tuple of Float
-        Direct light of all further surfaces, as in `direct_along`.
+        Direct light of surfaces met by way of nothing but holes, as in `direct_along`.
+    list of tuple of Float
+        Direct light of all others.
     SurfaceInteraction3f, Float, Float
         Last surface, weight there (0 if none is diffuse), and optical way to it, m.
     """
@@ -78,8 +83,8 @@ def followed(
 
     mi, (number, key) = task.mi, draw
 
-    def body(active: Jit, step: Jit, at: Jit, state: Jit, rest: Jit) -> tuple[Jit, ...]:
-        weight, length_m, ior = state
+    def body(active: Jit, step: Jit, at: Jit, state: Jit, sums: Jit) -> tuple[Jit, ...]:
+        (weight, length_m, ior, straight), (one, rest) = state, sums
         seed = hashed(mi, key + hashed(mi, 4 * step + 0x1001))
         lobe, square = single(mi, number, seed), pair(mi, number, seed, mi.UInt32(1))
         sample, value = at.bsdf().sample(mi.BSDFContext(), at, lobe, square, active)
@@ -90,18 +95,24 @@ def followed(
         far_m = nearby.t * task.stage.unit_m
         length_m = length_m + dr.select(hit, ior * far_m, 0.0)
         light = direct_along(task, nearby, hit, weight, length_m, channels, ior)
-        rest = [(a + c, b + d) for (a, b), (c, d) in zip(rest, light, strict=True)]
+        straight &= mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        one, rest = (
+            [(a + dr.select(mine, c, 0.0), b + dr.select(mine, d, 0.0))
+             for (a, b), (c, d) in zip(part, light, strict=True)]
+            for part, mine in ((one, straight), (rest, ~straight))
+        )  # fmt: skip
         ended = hit & scatters_alike(mi, nearby)
         at = dr.select(hit, nearby, at)
-        return hit & ~ended & (step < LONGEST), step + 1, at, (weight, length_m, ior), rest
+        state = (weight, length_m, ior, straight)
+        return hit & ~ended & (step < LONGEST), step + 1, at, state, (one, rest)
 
     at, weight, length_m, ior = begin
     lanes = dr.width(at.t)
     zeros = [(dr.zeros(mi.Float, lanes), dr.zeros(mi.Float, lanes)) for _ in channels.modulated]
-    state = (weight, length_m, ior + dr.zeros(mi.Float, lanes))
-    start = (weight > 0, dr.zeros(mi.UInt32, lanes), at, state, zeros)
-    _, step, end, (weight, length_m, _), rest = dr.while_loop(
+    state = (weight, length_m, ior + dr.zeros(mi.Float, lanes), weight > 0)
+    start = (weight > 0, dr.zeros(mi.UInt32, lanes), at, state, (zeros, zeros))
+    _, step, end, (weight, length_m, *_), (one, rest) = dr.while_loop(
         start, lambda active, *_: active, body
     )
     # Who was given up after the most surfaces brings nothing more.
-    return rest, end, dr.select(step > LONGEST, 0.0, weight), length_m
+    return one, rest, end, dr.select(step > LONGEST, 0.0, weight), length_m

@@ -43,7 +43,7 @@ class Arrived:
     Parameters
     ----------
     one_bounce, rest : ndarray, (C, W), complex128
-        Direct light of first hits, and of what was met by way of others.
+        Direct light of first hits, holes passed, and of what was met by way of others.
     hits : Hits
         Places whose indirect light is still missing, point by point.
     guessed : ndarray, (C, W), complex128
@@ -101,9 +101,9 @@ def hemisphere(
         lanes = dr.arange(mi.UInt32, min(step, width - start)) + dr.opaque(mi.UInt32, start)
         first = swept(task, points, lanes, fan, channels, against, guess)
         lane, ray, weight = _thinned(first.shares, fan.offset, keep)
-        rest, hits = _met(task, points, (lane + start, ray, weight), fan, channels, guess)
-        rest = rest[:, start : start + first.ones.size]
-        parts.append(Arrived(first.one_bounce, rest, hits, first.guessed, first.ones))
+        light, hits = _met(task, points, (lane + start, ray, weight), fan, channels, guess)
+        one, rest = light[:, :, start : start + first.ones.size]
+        parts.append(Arrived(first.one_bounce + one, rest, hits, first.guessed, first.ones))
     if not parts:
         blank = np.zeros((len(channels.freqs_hz), 0), np.complex128)
         return Arrived(blank, blank, no_hits(), blank, np.zeros(0))
@@ -142,14 +142,14 @@ def _met(
     channels: Channels,
     guess: LightMap | None,
 ) -> tuple[C128, Hits]:
-    """What picked rays of points meet: light by way of surfaces that are not diffuse, and hits."""
+    """What picked rays meet by way of surfaces that are not diffuse, (2, C, W), and hits."""
     import drjit as dr
 
     mi, (lane, ray, weight) = task.mi, picked
     width, kinds = dr.width(points.t), len(channels.freqs_hz)
-    rest = np.zeros((kinds, width), np.complex128)
+    found = np.zeros((2, kinds, width), np.complex128)
     if not lane.size:
-        return rest, no_hits()
+        return found, no_hits()
     lanes, number = (mi.UInt32(x.astype(np.uint32)) for x in (lane, ray))
     si = dr.gather(mi.SurfaceInteraction3f, points, lanes)
     nearby = next_hit(task, si, away_of(mi, up_of(si), fan.square(number, lanes)), mi.Bool(True))
@@ -164,15 +164,17 @@ def _met(
         start = [dr.gather(kind, x, other) for kind, x in (
             (mi.SurfaceInteraction3f, nearby), (mi.Float, share), (mi.Float, far_m))]  # fmt: skip
         draw = (dr.gather(mi.UInt32, number, other), fan.key(some))
-        light, end, share, far_m = followed(task, (*start, mi.Float(1)), draw, channels)
+        *light, end, share, far_m = followed(task, (*start, mi.Float(1)), draw, channels)
         dr.eval(light, end, share, far_m)
         ended: Jit = dr.compress(share > 0)
         hits.append(_hits(mi, ended, some, end, (share, far_m), None, straight=False))
         mine = np.asarray(some.numpy(), np.int64)
-        for row, (real, imaginary) in zip(rest, light, strict=True):
+        for row, (real, imaginary) in zip(
+            found.reshape(-1, width), (pair for part in light for pair in part), strict=True
+        ):
             row += np.bincount(mine, real.numpy(), width)
             row += 1j * np.bincount(mine, imaginary.numpy(), width)
-    return rest, joined(hits)
+    return found, joined(hits)
 
 
 def _hits(

@@ -7,9 +7,10 @@ error that falls nearly as one over the number of virtual lights and costs the s
 resolution. Phasors of all frequencies and harmonics come out at once.
 
 Surfaces that are not diffuse are followed where the light meets them between diffuse ones; pixels
-that look at one are left to `path`, as are whole scenes with holes or with modulated lamps. Which
-share that is, is told. Like `path` it cannot see light that reaches a surface by way of a mirror or
-of clear glass from the camera's point source.
+that look at one are left to `path`, as are whole images that show more such surfaces than diffuse
+ones, scenes with modulated lamps, and with lamps and holes. Which share that is, is told. Like
+`path` it cannot see light that reaches a surface by way of a mirror or of clear glass from the
+camera's point source.
 
 References
 ----------
@@ -39,6 +40,8 @@ from toftools.types import Capture, Scene, Shot
 SOLVED = Depth(512, 0.0, "all of them, as diffuse light is solved for")
 """Bounces of an image whose light is solved for; the number is that of `path` at its most."""
 
+LEAST_DIFFUSE = 0.5
+"""Share of what is seen below which virtual lights do not pay: light goes by way of the rest."""
 BENT = ("BumpMap", "NormalMap")
 """Materials that scatter about a normal of their own."""
 
@@ -81,9 +84,9 @@ def radiosity(
         if shot.samples is not None and shot.samples > MOST:
             msg = f"radiosity takes at most {MOST} virtual lights (spp), got {shot.samples}"
             raise ValueError(msg)
-        obstacle = _obstacle(task, shot)
-        if obstacle is None:
-            return _frame(task, shot, earlier, antialias, max_samples)
+        what = seen(task, shot.sensor.camera, antialias)
+        if (obstacle := _obstacle(task, shot, what)) is None:
+            return _frame(task, shot, earlier, what, (antialias, max_samples))
         depth = depth_of(task, shot, earlier)
         image = render(task, order_of(shot, depth, antialias, max_samples))
         return Frame(image, {**told_of(depth), "left_to_path": 1.0, "left_why": obstacle}, task)
@@ -91,10 +94,12 @@ def radiosity(
     return engine("radiosity", scene, expose, antialias=antialias, gpu=gpu)
 
 
-def _obstacle(task: Task, shot: Shot) -> str | None:
+def _obstacle(task: Task, shot: Shot, what: Seen) -> str | None:
     """What leaves the whole scene to `path`."""
-    if task.holes:
-        return "surfaces have holes or veils"
+    if what.met.any() and what.diffuse.sum() < LEAST_DIFFUSE * what.met.sum():
+        return "most of what is seen is not diffuse"
+    if task.lamps and task.holes:
+        return "surfaces have holes or veils, and lamps shine"
     if task.lamps and task.stage.lamp_modulated.any():
         return "lamps of the scene are modulated"
     if shot.max_bounces is not None and not _all_diffuse(task):
@@ -116,13 +121,12 @@ def _all_diffuse(task: Task) -> bool:
 
 
 def _frame(
-    task: Task, shot: Shot, earlier: Frame | None, antialias: int, max_samples: int
+    task: Task, shot: Shot, earlier: Frame | None, what: Seen, limits: tuple[int, int]
 ) -> Frame:
     """Diffuse pixels out of virtual lights, the others out of paths."""
     depth = SOLVED if shot.max_bounces is None else depth_of(task, shot, None)
-    order = order_of(shot, depth, antialias, max_samples)
+    order = order_of(shot, depth, *limits)
     image = _directly(task, order)
-    what = seen(task, order.camera, order.side)
     other, diffuse = _kinds(what, order)
     told: dict[str, Any] = {**told_of(depth), "left_to_path": float(other.mean())}
     if shot.max_bounces != 0 and diffuse.any():
@@ -143,7 +147,7 @@ def _frame(
     if not other.any():
         return Frame(image, told, task)
     deep = _earlier(earlier) or depth_of(task, shot, None)
-    paths = render(task, order_of(shot, deep, antialias, max_samples), only=other)
+    paths = render(task, order_of(shot, deep, *limits), only=other)
     told |= {"left_why": "their surfaces are not diffuse", "path_bounces": deep.bounces}
     if "tolerance_met" in told:
         told["tolerance_met"] &= not (paths.error_m[other] > shot.tol_m).any()  # NaN is no error

@@ -6,40 +6,19 @@ shell, furniture and camera as they are. Rooms are generated in a frame of their
 down, z away from the camera's wall, the origin in the middle of the floor.
 """
 
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from toftools.sim import solids
+from toftools.sim._ground import ALBEDOS, CLEAR_M, Ground, painted
 from toftools.sim.planes import STILL, moving
 from toftools.sim.solids import Entry, box, quad, sphere, turned
 from toftools.sim.world import World, look_at
 from toftools.types import F64
 
-CLEAR_M = 1e-4
-"""What stands hovers this much: two faces in one plane would be hit at random."""
-TRIES = 500
 MOST = 100
-CAMERA_CLEAR_M = 0.8
-
-
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """A rectangle on which things stand, and the circles (x, z, radius) already taken, in m."""
-
-    centre: F64
-    yaw_deg: float
-    half: F64
-    taken: list[tuple[float, float, float]] = field(default_factory=list)
-
-    def place(self, rng: np.random.Generator, radius: float) -> F64 | None:
-        """Free spot for a circle, in the frame of the room; None if none is found."""
-        room = self.half - radius
-        for x, z in rng.uniform(-1, 1, (TRIES, 2)) * room if (room > 0).all() else ():
-            if all(np.hypot(x - u, z - v) > radius + r for u, v, r in self.taken):
-                self.taken.append((x, z, radius))
-                return np.asarray(self.centre + turned(self.yaw_deg) @ [x, -CLEAR_M, z])
-        return None
+CAMERA_CLEAR_M, CLEARS_M = 0.8, (0.6, 0.45, 0.3)
+"""What is kept free around a camera, and around others as far as there is space."""
 
 
 def room(
@@ -48,6 +27,8 @@ def room(
     boxes: int = 5,
     balls: int = 3,
     material: str = "diffuse",
+    paint: int = 0,
+    view: int = 0,
     velocity: tuple[float, float, float] = STILL,
 ) -> World:
     """Room of 3.5 to 6 m with table, cupboard, boxes and balls, albedos 0.3 to 0.8.
@@ -60,6 +41,8 @@ def room(
         How many of each, up to 100; a third stands on the table while there is space.
     material : str
         Of boxes and balls, a name out of `solids.SOLID`.
+    paint, view : int
+        The same room with other albedos, and as another camera sees it.
     velocity : tuple of 3 floats
         Velocity of the first box in the camera frame, m/s.
 
@@ -72,11 +55,12 @@ def room(
     Raises
     ------
     ValueError
-        If so many things find no place.
+        If so many things, or another camera, find no place.
     """
-    if seed < 0 or not (0 <= boxes <= MOST and 0 <= balls <= MOST):
+    if min(seed, paint, view) < 0 or not (0 <= boxes <= MOST and 0 <= balls <= MOST):
         msg = (
-            f"got seed={seed}, boxes={boxes}, balls={balls}; wanted 0 or more, things up to {MOST}"
+            f"got seed={seed}, boxes={boxes}, balls={balls}, paint={paint}, view={view}; wanted 0 "
+            f"or more, things up to {MOST}"
         )
         raise ValueError(msg)
     if np.any(velocity) and not boxes:
@@ -88,7 +72,7 @@ def room(
     camera = np.array(
         [rng.uniform(-0.3, 0.3) * width, -rng.uniform(1.2, 1.7), rng.uniform(0.3, 0.6) - depth / 2]
     )
-    floor = _Ground(np.zeros(3), 0.0, np.array([width, depth]) / 2)
+    floor = Ground(np.zeros(3), 0.0, np.array([width, depth]) / 2)
     floor.taken.append((camera[0], camera[2], CAMERA_CLEAR_M))
     shapes = _shell(rng, width, height, depth)
     shapes |= _cupboard(rng, floor)
@@ -99,12 +83,30 @@ def room(
         shapes[f"box_{i}"] = _box(box_rng, (table, floor), material)
     for i in range(1, balls + 1):
         shapes[f"ball_{i}"] = _ball(ball_rng, (table, floor), material)
+    shapes = painted(shapes, np.random.default_rng([seed, paint]) if paint else None)
+    if view:
+        camera, target = _viewed(np.random.default_rng([seed, 0, view]), floor, table)
     pose = look_at(camera, target, (0.0, -1.0, 0.0))
     return World(shapes, to_world=pose, velocity_mps=moving("box_1", velocity))
 
 
-def _paint(rng: np.random.Generator, name: str = "diffuse") -> Entry:
-    return solids.material(name, rng.uniform(0.3, 0.8), allowed=solids.SOLID)
+def _viewed(rng: np.random.Generator, floor: Ground, table: Ground) -> tuple[F64, F64]:
+    """Another camera: anywhere on the floor where it is free, turned to the table or beside it."""
+    for clear in CLEARS_M:
+        spot = floor.place(rng, clear)
+        if spot is not None:
+            break
+    else:
+        msg = "the room has no place for another camera; give fewer boxes or balls, or view=0"
+        raise ValueError(msg)
+    camera = spot - [0.0, rng.uniform(0.8, 1.8), 0.0]
+    beside = rng.uniform([-0.8, -0.2, -0.8], [0.8, 0.4, 0.8])
+    return camera, np.asarray(table.centre * [1.0, 0.5, 1.0] + beside)
+
+
+def _paint(rng: np.random.Generator, name: str = "diffuse") -> Any:  # noqa: ANN401
+    """Material and albedo, which `painted` makes an entry of."""
+    return name, float(rng.uniform(*ALBEDOS))
 
 
 def _shell(rng: np.random.Generator, width: float, height: float, depth: float) -> dict[str, Entry]:
@@ -121,7 +123,7 @@ def _shell(rng: np.random.Generator, width: float, height: float, depth: float) 
     }
 
 
-def _cupboard(rng: np.random.Generator, floor: _Ground) -> dict[str, Entry]:
+def _cupboard(rng: np.random.Generator, floor: Ground) -> dict[str, Entry]:
     """A tall box with its back to the far wall."""
     half = rng.uniform([0.3, 0.6, 0.15], [0.6, 1.0, 0.25])
     x = rng.uniform(-1, 1) * (floor.half[0] - half[0] - 0.05)
@@ -130,7 +132,7 @@ def _cupboard(rng: np.random.Generator, floor: _Ground) -> dict[str, Entry]:
     return {"cupboard": box([x, -half[1] - CLEAR_M, z], half, 0.0, _paint(rng))}
 
 
-def _table(rng: np.random.Generator, floor: _Ground) -> tuple[_Ground, dict[str, Entry]]:
+def _table(rng: np.random.Generator, floor: Ground) -> tuple[Ground, dict[str, Entry]]:
     """A table top on four legs around the middle of the room, and what can stand on it."""
     half, height = rng.uniform([0.5, 0.3], [0.8, 0.45]), rng.uniform(0.70, 0.78)
     x, z = rng.uniform([-0.4, 0.0], [0.4, 0.25]) * floor.half
@@ -145,11 +147,11 @@ def _table(rng: np.random.Generator, floor: _Ground) -> tuple[_Ground, dict[str,
         foot = turned(yaw) @ [u * (half[0] - 2 * leg), 0.0, v * (half[1] - 2 * leg)]
         middle = at + foot - [0, tall + CLEAR_M, 0]
         shapes[f"leg_{i}"] = box(middle, [leg, tall, leg], yaw, wood)
-    return _Ground(at - [0, height, 0], yaw, half), shapes
+    return Ground(at - [0, height, 0], yaw, half), shapes
 
 
 def _spot(
-    rng: np.random.Generator, grounds: tuple[_Ground, _Ground], small: float, large: float
+    rng: np.random.Generator, grounds: tuple[Ground, Ground], small: float, large: float
 ) -> tuple[F64, float]:
     """Where a thing stands and how wide it is, smaller on the table than on the floor."""
     table, floor = grounds
@@ -167,7 +169,7 @@ def _spot(
     return spot, radius
 
 
-def _box(rng: np.random.Generator, grounds: tuple[_Ground, _Ground], material: str) -> Entry:
+def _box(rng: np.random.Generator, grounds: tuple[Ground, Ground], material: str) -> Entry:
     spot, radius = _spot(rng, grounds, 0.14, 0.40)
     side, up = rng.uniform(0.35, 0.65) * np.pi / 2, rng.uniform(0.4, 1.4)
     half = radius * np.array([np.cos(side), up, np.sin(side)])
@@ -175,6 +177,6 @@ def _box(rng: np.random.Generator, grounds: tuple[_Ground, _Ground], material: s
     return box(middle, half, rng.uniform(0, 90), _paint(rng, material))
 
 
-def _ball(rng: np.random.Generator, grounds: tuple[_Ground, _Ground], material: str) -> Entry:
+def _ball(rng: np.random.Generator, grounds: tuple[Ground, Ground], material: str) -> Entry:
     spot, radius = _spot(rng, grounds, 0.10, 0.25)
     return sphere(spot - [0, radius, 0], radius, _paint(rng, material))

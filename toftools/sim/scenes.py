@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from toftools.registry import checked_params, parameters_of
 from toftools.sim.boxes import cornell, prism, vshape
+from toftools.sim.clutter import clutter
 from toftools.sim.mesh import MESHES, mesh_world
 from toftools.sim.planes import cavity, corner, disc, plates, slab, tilted, wall
 from toftools.sim.rooms import room
@@ -32,6 +33,7 @@ WORLDS: Mapping[str, Callable[..., World]] = MappingProxyType(
         "vshape": vshape,
         "prism": prism,
         "room": room,
+        "clutter": clutter,
     }
 )
 """Scene name to its builder."""

@@ -1,4 +1,4 @@
-"""Bricks of the procedural scenes: materials, planes, quads, boxes, prisms and spheres.
+"""Bricks of the procedural scenes: materials, planes, quads, boxes, prisms, spheres, turned bodies.
 
 Every function gives an entry of a Mitsuba scene dictionary as plain data, without Mitsuba. Lengths
 are in m; the procedural scenes use the frame of the camera (x right, y down, z forward).
@@ -192,6 +192,43 @@ def prism(
         if 0 < i < sides - 1:
             faces += [[0, j, i], [sides, i + sides, j + sides]]
     return {"type": "arrays", "vertices": vertices, "faces": np.array(faces), "bsdf": bsdf}
+
+
+def lathe(foot: ArrayLike, profile: ArrayLike, bsdf: Entry, *, sides: int = 32) -> Entry:
+    """A body turned about the vertical: `foot` is where its axis stands, y downwards.
+
+    Parameters
+    ----------
+    foot : array_like, (3,)
+        Lower end of the axis, m.
+    profile : array_like, (N, 2)
+        Distances from the axis and heights, m; a body is closed where both ends lie on the axis.
+    bsdf : dict
+        Material.
+    sides : int
+        Flat sides all around.
+
+    Returns
+    -------
+    dict
+        An ``arrays`` entry.
+    """
+    radius, height = np.asarray(profile, np.float64).T
+    angle = np.arange(sides) * (2 * np.pi / sides)
+    rows = [np.outer(radius, np.cos(angle)), np.repeat(-height[:, None], sides, axis=1),
+            np.outer(radius, np.sin(angle))]  # fmt: skip
+    vertices = np.stack(rows, axis=-1).reshape(-1, 3) + np.asarray(foot, np.float64)
+    low = (np.arange(len(radius) - 1)[:, None] * sides + np.arange(sides)).ravel()
+    beside = low - low % sides + (low + 1) % sides
+    faces = np.concatenate([
+        np.stack([low, beside, beside + sides], axis=1),
+        np.stack([low, beside + sides, low + sides], axis=1),
+    ])  # fmt: skip
+    corner = vertices[faces]
+    area = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    return {"type": "arrays", "vertices": vertices, "faces": faces[area > 0], "bsdf": bsdf}
 
 
 def backdrop(z: float, nearer: float, albedo: float) -> dict[str, Entry]:
