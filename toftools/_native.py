@@ -187,6 +187,19 @@ def limit_threads(count: int) -> None:
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
 
 
+def threads() -> int:
+    """Threads that kernels of this process may use.
+
+    Returns
+    -------
+    int
+        All cores, unless `limit_threads` has said less.
+    """
+    import numba
+
+    return int(numba.get_num_threads())
+
+
 def import_open3d() -> Any:  # noqa: ANN401 - a module
     """Open3D, with the libusb it needs.
 

@@ -18,6 +18,7 @@ VERBS = {
     "correct": "Turn a capture into a depth map.",
     "cloud": "Make a point cloud or a picture of one.",
     "register": "Colour a cloud from a second camera, or bring ranges to its picture.",
+    "dataset": "Make data sets of simulated captures by recipe.",
     "bench": "Run, score and report methods over captures.",
 }
 """Verb to its help line; the command itself is ``toftools.cli.<verb>:command``."""

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools._native import threads
 from toftools.sim._fan import along_curve, box_of, sides_of, turned_fan
 from toftools.sim._hemisphere import hemisphere
 from toftools.sim._hits import Hits, joined
@@ -206,7 +207,7 @@ def nearest(cache: Cache, hits: Hits) -> tuple[F64, Any]:
     """
     count = range(1, min(NEAREST, cache.tree.n) + 1)
     query = np.concatenate([hits.p, cache.scale * hits.n]).T
-    far, place = cache.tree.query(query, k=count, workers=-1)
+    far, place = cache.tree.query(query, k=count, workers=threads())
     return far, place
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools._native import threads
 from toftools.sim._field import arriving, light_field
 from toftools.sim._phasors import C128
 from toftools.sim._seen import points_at
@@ -75,7 +76,7 @@ def placed(scene: Wanted) -> Plan:
     every = what.diffuse.sum()
     if every <= SMALL:
         return place(surface, nothing, errors_m, 0.0)
-    # Points that do not count err by nothing, so that those that do may err more on average.
+    # Points that do not count err by nothing: the mean over all must be that much smaller.
     share = (scene.counted.sum() or every) / every
     return place(surface, evaluate, errors_m, BETWEEN * scene.order.tol_m * np.sqrt(share))
 
@@ -87,5 +88,5 @@ def _roughly(scene: Wanted, number: Any, *lights: C128) -> list[C128]:  # noqa: 
     what = scene.what
     where = np.where(what.met[:, None], what.position_m, 0.0)
     rows = np.concatenate([where, what.normal], axis=1)
-    _, nearest = cKDTree(rows[number]).query(rows, workers=-1)
+    _, nearest = cKDTree(rows[number]).query(rows, workers=threads())
     return [light[:, nearest] for light in lights]

@@ -57,7 +57,7 @@ def clutter(
     root = np.random.default_rng([seed, 1])
     rng, *each = root.spawn(1 + things)
     half = rng.uniform([0.5, 0.3], [0.8, 0.45])
-    shapes = _around(rng, half)
+    shapes, beside = _around(rng, half)
     table, tops = Ground(np.zeros(3), 0.0, half), [0.0]
     for i, own in enumerate(each, start=1):
         radius = own.uniform(0.03, 0.14)
@@ -66,7 +66,7 @@ def clutter(
             shapes[f"thing_{i}"], height = _thing(own, spot, radius, gloss)
             tops.append(height)
     shapes = painted(shapes, np.random.default_rng([seed, paint, 2]) if paint else None)
-    pose = _camera(np.random.default_rng([seed, view, 3]), half, max(tops))
+    pose = _camera(np.random.default_rng([seed, view, 3]), half, max(tops), beside)
     return World(shapes, to_world=pose)
 
 
@@ -76,8 +76,8 @@ def _paint(rng: np.random.Generator, gloss: float = 0.0) -> Any:  # noqa: ANN401
     return (SHINY[which] if shiny < gloss else "diffuse"), albedo
 
 
-def _around(rng: np.random.Generator, half: F64) -> dict[str, Entry]:
-    """Table top, floor, the wall behind, and often one at the side."""
+def _around(rng: np.random.Generator, half: F64) -> tuple[dict[str, Entry], float]:
+    """Table top, floor, the wall behind, and often one at the side; x of that, or 0."""
     x, z = half
     height, gap, beside = rng.uniform([0.70, 0.0, 0.0], [0.78, 0.3, 0.3])
     thick, far, wide = 0.02, z + 0.01 + gap, 2.0
@@ -86,21 +86,24 @@ def _around(rng: np.random.Generator, half: F64) -> dict[str, Entry]:
         "floor": quad([0, height, 0], [3, 0, 0], [0, 0, 3], _paint(rng)),
         "wall": quad([0, height - wide, far], [3, 0, 0], [0, -wide, 0], _paint(rng)),
     }
+    at = 0.0
     if rng.random() < 1 / 2:
-        at = rng.choice([-1, 1]) * (x + 0.01 + beside)
+        at = float(rng.choice([-1, 1]) * (x + 0.01 + beside))
         forward = [0, 0, -np.sign(at) * 3]
         shapes["side"] = quad([at, height - wide, 0], forward, [0, -wide, 0], _paint(rng))
-    return shapes
+    return shapes, at
 
 
-def _camera(rng: np.random.Generator, half: F64, top: float) -> F64:
-    """Pose in front of the table, above all things, looking down at its middle."""
+def _camera(rng: np.random.Generator, half: F64, top: float, side_x: float) -> F64:
+    """Pose in front of the table, above all things and off the wall, looking at its middle."""
     away, side, up = rng.uniform([0.5, -50, 20], [1.4, 50, 60])
     side, up = np.radians([side, up])
     out = np.array([np.sin(side) * np.cos(up), -np.sin(up), -np.cos(side) * np.cos(up)])
     target = rng.uniform([-0.3, 0.0, -0.3], [0.3, 0.0, 0.3]) * [half[0], 0.0, half[1]]
     camera = target + away * out
     camera[1] = min(camera[1], -top - FREE_M)
+    if side_x:
+        camera[0] = np.sign(side_x) * min(np.sign(side_x) * camera[0], abs(side_x) - FREE_M)
     return look_at(camera, target - [0, 0.05, 0], (0.0, -1.0, 0.0))
 
 

@@ -81,17 +81,20 @@ def radiosity(
         raise ValueError(msg)
 
     def expose(task: Task, shot: Shot, earlier: Frame | None) -> Frame:
-        if shot.samples is not None and shot.samples > MOST:
-            msg = f"radiosity takes at most {MOST} virtual lights (spp), got {shot.samples}"
-            raise ValueError(msg)
         what = seen(task, shot.sensor.camera, antialias)
-        if (obstacle := _obstacle(task, shot, what)) is None:
+        obstacle = _obstacle(task, shot, what) if earlier is None else _left(earlier)
+        if obstacle is None:
             return _frame(task, shot, earlier, what, (antialias, max_samples))
         depth = depth_of(task, shot, earlier)
         image = render(task, order_of(shot, depth, antialias, max_samples))
         return Frame(image, {**told_of(depth), "left_to_path": 1.0, "left_why": obstacle}, task)
 
     return engine("radiosity", scene, expose, antialias=antialias, gpu=gpu)
+
+
+def _left(earlier: Frame) -> str | None:
+    """What left the whole first frame of a sequence to `path`: all its frames go one way."""
+    return None if "path_bounces" in earlier.told else earlier.told.get("left_why")
 
 
 def _obstacle(task: Task, shot: Shot, what: Seen) -> str | None:
@@ -124,6 +127,9 @@ def _frame(
     task: Task, shot: Shot, earlier: Frame | None, what: Seen, limits: tuple[int, int]
 ) -> Frame:
     """Diffuse pixels out of virtual lights, the others out of paths."""
+    if shot.samples is not None and shot.samples > MOST:
+        msg = f"radiosity takes at most {MOST} virtual lights (spp), got {shot.samples}"
+        raise ValueError(msg)
     depth = SOLVED if shot.max_bounces is None else depth_of(task, shot, None)
     order = order_of(shot, depth, *limits)
     image = _directly(task, order)

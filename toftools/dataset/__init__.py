@@ -1,0 +1,1 @@
+"""Data sets: a recipe, the captures that follow from it, and what they are like."""
