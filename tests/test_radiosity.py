@@ -160,6 +160,17 @@ def test_a_thin_gap_between_boxes():
     agree(between, ideal(12, 3, (20e6,), more=",hfov_deg=2"), paths=512, within=0.1)
 
 
+def test_light_from_outside_does_not_leak_into_gaps():
+    """A pixel sees the floor 0.3 mm under a prism that hovers 0.1 mm above it: it is dark there."""
+    scene = Scene("prism", {"range": 0.909, "albedo": 0.74})
+    device, gap, beside = ideal(48, 36, (20e6,), more=",hfov_deg=45"), (29, 18), (29, 19)
+    (ours,) = captures(radiosity, scene, device, [0], tol_m=4e-3)
+    (theirs,) = captures(path, scene, device, [1], samples=128)
+    mine, other = (np.abs(c.truth.one_bounce[0] + c.truth.rest[0]) for c in (ours, theirs))
+    assert other[gap] < 0.25 * other[beside]
+    assert abs(mine[gap] - other[gap]) < 0.1 * other[beside]
+
+
 def test_textures_and_a_beam_from_aside_with_soft_pixels():
     beam = ideal(12, 9, (20e6,), more=",hfov_deg=39.3077,emitter=0.3+0+0,beam_deg=70")
     agree(Scene("cornell", {"material": "checker"}), beam, antialias=2)

@@ -22,10 +22,10 @@ FAMILIES = {
     "tilted": (4, CLOSED, 0),
     "cavity": (38, CLOSED, 0),
     "corner": (38, CLOSED, 0),
-    "cornell": (44, PATH, 256),
+    "cornell": (44, PATH, 1024),
     "vshape": (34, PATH, 256),
     "prism": (22, PATH, 256),
-    "room": (16, PATH, 512),
+    "room": (16, PATH, 8192),
 }
 
 

@@ -15,6 +15,7 @@ from toftools.sim._cache import Cache, solved
 from toftools.sim._fan import away_of, own_fan, shared_fan
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import hemisphere
+from toftools.sim._hits import surfaces_of
 from toftools.sim._lookup import DEEPEST, looked_up, sharpened
 from toftools.sim._phasors import C128
 from toftools.sim._second import scatters_alike, up_of
@@ -38,6 +39,9 @@ MOST_HITS = 1 << 21
 FEW_CHANNELS = 8
 SCOUTS = 2048
 """Points that tell where the cache should be finer."""
+SHORT, CROWDED, ACROSS = 0.05, 0.6, 4
+"""A place most of whose rays are so short, in distances between virtual lights, lies in a gap: so
+many places are put on what is across."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +155,11 @@ def light_field(
     if left == 0:
         return Field(views, channels, lights, None, rays, 0, 0, seed)
     near = _nearby(task, views, points, total, NEARBY * len(lights.albedo), seed)
-    sets = [*lights.at, *near]
-    if not sets:
-        return Field(views, channels, lights, None, rays, 0, KEEP, seed)
     spacing_m = np.sqrt(np.median(lights.area_m2)) if len(lights.area_m2) else task.stage.unit_m
     spacing = float(spacing_m) / task.stage.unit_m
+    sets = [*lights.at, *near, *_across(task, near, SHORT * spacing_m, seed)]
+    if not sets:
+        return Field(views, channels, lights, None, rays, 0, KEEP, seed)
     before = None if left is None else left - 1
     cache = solved(task, sets, spacing, channels, before, seed + 0x77)
     cache = sharpened(task, sets, cache, channels, seed + 0x99)
@@ -257,3 +261,26 @@ def _nearby(
             sets.append(dr.gather(mi.SurfaceInteraction3f, at, mi.UInt32(number.astype(np.uint32))))
     dr.eval(sets)
     return sets
+
+
+def _across(task: Task, sets: list[Jit], short_m: float, seed: int) -> list[Jit]:
+    """Places across from those in gaps, where else the light from outside would be looked up."""
+    import drjit as dr
+
+    mi, found = task.mi, []
+    for at in sets:
+        width = dr.width(at.t)
+        fan = own_fan(mi, FEWEST, lane_keys(mi, dr.arange(mi.UInt32, width), seed + 0x55))
+        hits = hemisphere(
+            task.without_flashes(), at, fan, Channels(np.zeros(1), (True,)), keep=None
+        ).hits
+        near = np.flatnonzero(hits.length_m < short_m)
+        count = np.bincount(hits.lane[near], minlength=width)
+        near = near[count[hits.lane[near]] > CROWDED * FEWEST]
+        _, first, many = np.unique(hits.lane[near], return_index=True, return_counts=True)
+        picked = [
+            near[f + m * np.arange(ACROSS) // ACROSS] for f, m in zip(first, many, strict=True)
+        ]
+        if picked:
+            found += surfaces_of(task, hits, np.sort(np.concatenate(picked)))
+    return found

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from toftools.sim._task import Jit
+from toftools.sim._task import Jit, Task
 from toftools.types import F64
 
 
@@ -72,3 +72,34 @@ def joined(parts: list[Hits]) -> Hits:
     names = ("lane", "p", "n", "weight", "length_m", "guessed", "straight")
     rows = {name: np.concatenate([getattr(part, name) for part in parts], -1) for name in names}
     return Hits(**rows, at=[si for part in parts for si in part.at])
+
+
+def surfaces_of(task: Task, hits: Hits, number: Any) -> list[Jit]:  # noqa: ANN401 - ints
+    """Surfaces of some hits, part by part.
+
+    Parameters
+    ----------
+    task : Task
+        Scene.
+    hits : Hits
+        What rays met.
+    number : ndarray of int
+        Which of them, rising.
+
+    Returns
+    -------
+    list of SurfaceInteraction3f
+        Their surfaces.
+    """
+    import drjit as dr
+
+    mi, parts, start = task.mi, [], 0
+    for at in hits.at:
+        end = start + dr.width(at.t)
+        mine = number[(number >= start) & (number < end)] - start
+        if mine.size:
+            index = mi.UInt32(mine.astype(np.uint32))
+            parts.append(dr.gather(mi.SurfaceInteraction3f, at, index))
+        start = end
+    dr.eval(parts)
+    return parts

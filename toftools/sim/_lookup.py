@@ -16,7 +16,7 @@ import numpy as np
 from toftools.sim._cache import Cache, nearest, radiance, ranks
 from toftools.sim._fan import own_fan, turned_fan
 from toftools.sim._hemisphere import hemisphere
-from toftools.sim._hits import Hits
+from toftools.sim._hits import Hits, surfaces_of
 from toftools.sim._light_map import lit_by
 from toftools.sim._phasors import C128
 from toftools.sim._task import Jit, Task
@@ -26,9 +26,8 @@ from toftools.units import path_to_phase
 
 COARSE = 1.0
 """Distance to the cache, in lengths of the ray, from which it is too coarse."""
-DEEPEST = 3
-FURTHER = 4
-"""Rays of such a hit."""
+DEEPEST, FURTHER = 16, 4
+"""How often in a row rays may end in a gap, and rays of the first such hit; later ones send one."""
 SHARP, SHARP_KEPT = 256, 16
 """Rays of a place of the cache that looks around once more, and how many look light up."""
 
@@ -124,10 +123,11 @@ def _further(
 ) -> C128:
     """Light of some hits by rays of their own, (C, n)."""
     found, start = [], 0
-    for at in _surfaces(task, hits, np.flatnonzero(coarse)):
+    for at in surfaces_of(task, hits, np.flatnonzero(coarse)):
         number, albedo = _lanes(task, at, start), albedo_of(at)
         start += len(albedo)
-        fan = own_fan(task.mi, FURTHER, lane_keys(task.mi, number, seed))
+        rays = FURTHER if deepest == DEEPEST else 1
+        fan = own_fan(task.mi, rays, lane_keys(task.mi, number, seed))
         arrived = hemisphere(task, at, fan, channels)
         width = len(albedo)
         later = looked_up(task, cache, arrived.hits, width, channels, seed + 1, deepest - 1)
@@ -152,19 +152,3 @@ def _lanes(task: Task, at: Jit, start: int) -> Jit:
     import drjit as dr
 
     return dr.arange(task.mi.UInt32, dr.width(at.t)) + dr.opaque(task.mi.UInt32, start)
-
-
-def _surfaces(task: Task, hits: Hits, number: Any) -> list[Jit]:  # noqa: ANN401 - ints
-    """Surfaces of some hits, part by part."""
-    import drjit as dr
-
-    mi, parts, start = task.mi, [], 0
-    for at in hits.at:
-        end = start + dr.width(at.t)
-        mine = number[(number >= start) & (number < end)] - start
-        if mine.size:
-            index = mi.UInt32(mine.astype(np.uint32))
-            parts.append(dr.gather(mi.SurfaceInteraction3f, at, index))
-        start = end
-    dr.eval(parts)
-    return parts

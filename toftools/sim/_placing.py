@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from toftools._native import threads
+from toftools.sim._crowded import crowded
 from toftools.sim._field import arriving, light_field
 from toftools.sim._phasors import C128
 from toftools.sim._seen import points_at
@@ -68,10 +69,10 @@ def placed(scene: Wanted) -> Plan:
         return np.zeros((len(wave), len(number)), np.complex128)
 
     shape = what.shape
+    # Points in gaps are turned over: they serve none but each other, and none serves them.
+    normal = np.where(crowded(task, what)[:, None], -what.normal, what.normal)
     surface = Surface(
-        what.position_m.reshape(*shape, 3),
-        what.normal.reshape(*shape, 3),
-        what.diffuse.reshape(shape),
+        what.position_m.reshape(*shape, 3), normal.reshape(*shape, 3), what.diffuse.reshape(shape)
     )
     every = what.diffuse.sum()
     if every <= SMALL:
