@@ -12,7 +12,7 @@ from toftools.sim._task import Task, next_hit
 from toftools.sim._views import MAX_LANES
 
 RAYS = 32
-MOST = 0.6
+CROWDED = 0.6
 """Share of the hemisphere, by the cosine, that a crease of two walls cannot fill."""
 
 
@@ -39,7 +39,7 @@ def crowded(task: Task, what: Seen) -> Any:  # noqa: ANN401 - bools
     pixel = np.nanmedian(np.linalg.norm(np.diff(rows, axis=1), axis=-1))
     for start in range(0, able.size, MAX_LANES):
         number = able[start : start + MAX_LANES]
-        found[number] = _share(task, what, number, pixel * what.range_m[number]) > MOST
+        found[number] = _share(task, what, number, pixel * what.range_m[number]) > CROWDED
     return found
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toftools.sim._cache import Cache, solved
+from toftools.sim._crowded import CROWDED
 from toftools.sim._fan import away_of, own_fan, shared_fan
 from toftools.sim._gather import gather
 from toftools.sim._hemisphere import hemisphere
@@ -39,9 +40,9 @@ MOST_HITS = 1 << 21
 FEW_CHANNELS = 8
 SCOUTS = 2048
 """Points that tell where the cache should be finer."""
-SHORT, CROWDED, ACROSS = 0.05, 0.6, 4
-"""A place most of whose rays are so short, in distances between virtual lights, lies in a gap: so
-many places are put on what is across."""
+SHORT, ACROSS = 0.05, 4
+"""A place of the cache whose rays are so short, in distances between virtual lights, lies in a gap:
+so many places are put on what is across."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +189,8 @@ def arriving(task: Task, field: Field, points: Jit, met: F64 | None = None) -> t
     """
     import drjit as dr
 
-    channels = max(1, len(field.channels.freqs_hz) // FEW_CHANNELS)
-    step, parts = max(256, MOST_HITS // field.rays // channels), []
+    many = max(1, len(field.channels.freqs_hz) // FEW_CHANNELS)
+    step, parts = max(256, MOST_HITS // field.rays // many), []
     for start in range(0, dr.width(points.t), step):
         index = dr.arange(task.mi.UInt32, min(step, dr.width(points.t) - start))
         index += dr.opaque(task.mi.UInt32, start)

@@ -26,8 +26,8 @@ from toftools.units import path_to_phase
 
 COARSE = 1.0
 """Distance to the cache, in lengths of the ray, from which it is too coarse."""
-DEEPEST, FURTHER = 16, 4
-"""How often in a row rays may end in a gap, and rays of the first such hit; later ones send one."""
+DEEPEST, FURTHER = 3, 4
+"""How often in a row rays may end in a gap, and rays of a hit that does."""
 SHARP, SHARP_KEPT = 256, 16
 """Rays of a place of the cache that looks around once more, and how many look light up."""
 
@@ -126,8 +126,7 @@ def _further(
     for at in surfaces_of(task, hits, np.flatnonzero(coarse)):
         number, albedo = _lanes(task, at, start), albedo_of(at)
         start += len(albedo)
-        rays = FURTHER if deepest == DEEPEST else 1
-        fan = own_fan(task.mi, rays, lane_keys(task.mi, number, seed))
+        fan = own_fan(task.mi, FURTHER, lane_keys(task.mi, number, seed))
         arrived = hemisphere(task, at, fan, channels)
         width = len(albedo)
         later = looked_up(task, cache, arrived.hits, width, channels, seed + 1, deepest - 1)

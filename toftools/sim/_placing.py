@@ -46,10 +46,8 @@ def placed(scene: Wanted) -> Plan:
     def evaluate(number: Any) -> C128:  # noqa: ANN401 - ints
         points = points_at(task, what, number)
         if not known:
-            seed, total = (
-                scene.order.seed + 99,
-                PLACING // (1 if scene.order.tol_m < ROUGH_M else 4),
-            )
+            seed = scene.order.seed + 99
+            total = PLACING if scene.order.tol_m < ROUGH_M else PLACING // 4
             field = light_field(
                 task, scene.views, scene.channels, points, total, scene.bounces, seed
             )
@@ -69,12 +67,13 @@ def placed(scene: Wanted) -> Plan:
         return np.zeros((len(wave), len(number)), np.complex128)
 
     shape = what.shape
-    # Points in gaps are turned over: they serve none but each other, and none serves them.
-    normal = np.where(crowded(task, what)[:, None], -what.normal, what.normal)
+    every, normal = what.diffuse.sum(), what.normal
+    if every > SMALL:
+        # Points in gaps are turned over: they serve none but each other, and none serves them.
+        normal = np.where(crowded(task, what)[:, None], -normal, normal)
     surface = Surface(
         what.position_m.reshape(*shape, 3), normal.reshape(*shape, 3), what.diffuse.reshape(shape)
     )
-    every = what.diffuse.sum()
     if every <= SMALL:
         return place(surface, nothing, errors_m, 0.0)
     # Points that do not count err by nothing: the mean over all must be that much smaller.
