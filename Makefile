@@ -28,7 +28,7 @@ types: install
 
 # One BLAS thread per worker: two spinning pools on two cores made small solves eight times slower.
 pytest: install
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup
 
 test: lint types pytest
 

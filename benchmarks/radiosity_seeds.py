@@ -173,6 +173,7 @@ def parsed(arguments):
     parser.add_argument("--references", type=Path, required=True, help="folder to keep them in")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--minutes", type=float, default=600.0, help="for scenes; go on later")
+    parser.add_argument("--repeats", type=int, default=2, help="frames timed of each size")
     parser.add_argument("--quick", action="store_true", help="4 scenes, small images")
     return parser.parse_args(arguments)
 
@@ -190,14 +191,15 @@ def main(arguments=None):
             log(f"reference of {sample.scene}")
         return
     given.out.mkdir(parents=True, exist_ok=True)
-    rows = all_judged(
-        chosen, given.out / "radiosity_seeds.jsonl", given.references, 60 * given.minutes, log
-    )
-    cost = costs(SMALL if given.quick else SIZES, 1 if given.quick else 2, log)
+    file = given.out / "radiosity_seeds.jsonl"
+    earlier = sum(r["number"] < len(chosen) for r in _read(file))
+    rows = all_judged(chosen, file, given.references, 60 * given.minutes, log)
+    cost = costs(SMALL if given.quick else SIZES, 1 if given.quick else given.repeats, log)
     about = {
         "versions": versions(),
         "machine": machine(os.cpu_count() or 1),
         "seconds": time.perf_counter() - begin,
+        "earlier": earlier,
     }
     data = seeded.summary(rows, TOL_MM) | {"cost": cost, "exponents": exponents(cost)}
     radiosity_page.save(given.out, "seeds", {"about": about, **data})

@@ -137,11 +137,12 @@ def test_page_shows_what_is_there(bench, tmp_path):
     data = seeded.summary(rows, 1.0) | {"cost": cost,
             "exponents": bench["radiosity_seeds"].exponents(cost)}  # fmt: skip
     assert data["exponents"]["cornell"] == pytest.approx(0.5)
-    page.save(tmp_path, "seeds", {"about": about, **data})
+    page.save(tmp_path, "seeds", {"about": about | {"earlier": 1}, **data})
     seeded.draw(rows, cost, 1.0, tmp_path / "radiosity_seeds")
     page.write(tmp_path)
     written = (tmp_path / "radiosity.md").read_text()
-    assert "100.0 %" in written and "pixels^0.50" in written
+    assert "100.0 %" in written and "1 of the scenes were judged before" in written
+    assert "pixels^0.50" in written
     for name in ("radiosity_time.png", "radiosity_seeds.png"):
         assert (tmp_path / name).stat().st_size > 10_000
 

@@ -133,9 +133,14 @@ def points_table(points):
 def of_seeds(data):
     """Whether the tolerance holds, and cost against pixels."""
     share, low, high = data["share"], *data["interval"]
+    earlier = data["about"]["earlier"]
     parts = [
         "## Whether the tolerance holds",
         about_line(data["about"]),
+        *(
+            [f"{earlier} of the scenes were judged before, and are not in that time."]
+            * (earlier > 0)
+        ),
         f"{data['count']} seeded scenes at a tolerance of {data['tol_mm']:g} mm: the actual error, "
         f"root mean square over the image, is below it in **{100 * share:.1f} %** of them "
         f"(95 % interval {100 * low:.1f} to {100 * high:.1f} %).",

@@ -25,7 +25,7 @@ FAMILIES = {
     "cornell": (44, PATH, 1024),
     "vshape": (34, PATH, 256),
     "prism": (22, PATH, 256),
-    "room": (16, PATH, 8192),
+    "room": (16, PATH, 2048),
 }
 
 
