@@ -1,6 +1,8 @@
 """Scene files: Mitsuba XML old and new, meshes, the public scenes; hostile ones in a sentence."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import hostile_scenes
@@ -404,6 +406,33 @@ def test_mitsubas_own_cornell_box_is_taken_as_it_is():
     range_m = cast(loaded, corner / np.linalg.norm(corner))[0][0]
     assert range_m == pytest.approx(np.linalg.norm(corner), abs=1e-5)
     assert len(loaded.lamp_modulated) == 1 and not loaded.lamp_modulated.any()
+
+
+ALONE = """
+import sys
+from toftools._native import limit_threads
+limit_threads(1)
+from toftools.sim.scenes import world_of
+from toftools.sim.stage import load
+from toftools.types import Scene
+import drjit
+load(world_of(Scene(sys.argv[1], {})))
+print(drjit.thread_count())
+"""
+
+
+def test_a_worker_of_one_thread_reads_pictures(tmp_path):
+    mi = import_mitsuba()
+    mi.Bitmap(np.ones((16, 32, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    path = written(
+        tmp_path / "room.xml",
+        """<scene version="3.0.0"><sensor type="perspective"/>
+        <shape type="sphere"><point name="center" x="0" y="0" z="3"/></shape>
+        <emitter type="envmap"><string name="filename" value="sky.exr"/></emitter></scene>""",
+    )
+    code = [sys.executable, "-c", ALONE, str(path)]
+    done = subprocess.run(code, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout.strip()) == (0, "1"), done.stderr
 
 
 # Public scenes

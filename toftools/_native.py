@@ -12,6 +12,8 @@ import importlib.util
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +187,19 @@ def limit_threads(count: int) -> None:
 
     drjit.set_thread_count(count)
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+
+
+@contextmanager
+def two_threads_at_least() -> Iterator[None]:
+    """Let an imported Mitsuba read files: its OpenEXR waits for ever if Dr.Jit has one thread."""
+    import drjit
+
+    before = drjit.thread_count()
+    drjit.set_thread_count(max(before, 2))
+    try:
+        yield
+    finally:
+        drjit.set_thread_count(before)
 
 
 def threads() -> int:

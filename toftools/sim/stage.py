@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from toftools._arrays import F64, Bool, expect_shape
-from toftools._native import import_mitsuba
+from toftools._native import import_mitsuba, two_threads_at_least
 from toftools.sim._stage_checks import bounds_hold, check_values, check_view
 from toftools.sim.mesh import read_mesh
 from toftools.sim.scene_xml import with_files
@@ -80,7 +80,7 @@ def load(world: World, *, variant: str = "llvm_ad_mono", merge: bool = True) -> 
         If the description is broken, names what does not exist, or cannot be seen from its camera.
     """
     mi = import_mitsuba(variant)
-    with _one_sentence(mi):
+    with _one_sentence(mi), two_threads_at_least():
         scene = _scene(mi, world, merge=merge)
         if merge and not bounds_hold(scene):
             scene = _scene(mi, world, merge=False)
@@ -89,7 +89,7 @@ def load(world: World, *, variant: str = "llvm_ad_mono", merge: bool = True) -> 
     try:
         check_view(mi, scene, to_world, world.unit_m)
     except ValueError:  # merged walls look like one thing: ask the single ones, which have names
-        with _one_sentence(mi):
+        with _one_sentence(mi), two_threads_at_least():
             single = _scene(mi, world, merge=False)
         check_view(mi, single, to_world, world.unit_m)
     modulated, delay_s = _lamps(mi, scene, world.modulated_s)
