@@ -26,7 +26,7 @@ LAYERS = [
     "units", "_arrays", "_lens", "electronics", "device", "types", "tap_noise", "phasor", "crlb",
     "camera", "transient", "_params", "conditions", "registry", "chain", "_overrides", "sensors",
     "_native", "_turns", "_transfer", "io", "sim", "calib", "correct",
-    "filter", "metrics", "viz", "bench", "dataset", "cli", "__main__",
+    "filter", "metrics", "viz", "bench", "dataset", "train", "cli", "__main__",
 ]  # fmt: skip
 # _overrides reads waveforms by name and sits below sim for that one function-level import.
 UPWARD = {("_overrides", "sim"): "waveforms, beams and codes by name are the simulator's"}

@@ -121,7 +121,7 @@ def test_info_names_the_model_of_every_pixel():
 
 
 def test_a_learned_method_for_one_frequency_is_refused():
-    with pytest.raises(ValueError, match="got one frequency; use it alone"):
+    with pytest.raises(ValueError, match="got one frequency and no sigma from it; use it alone"):
         auto(sensor("deeptof"), learned="test_auto:oracle")
 
 

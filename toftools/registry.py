@@ -256,6 +256,7 @@ CORRECTIONS = _table(
         grid={"refine": (0, 2, 20), "returns": (2, 4)},
     ),
     semi_global=Spec("toftools.correct.semi_global:semi_global", grid={"jump": (0.0, 4.0, 16.0)}),
+    network=Spec("toftools.correct.network:network"),
     two_returns=Spec("toftools.correct.two_returns:two_returns", grid={"max_range_m": (0.0, 10.0)}),
 )
 FILTERS = _table(

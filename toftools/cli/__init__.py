@@ -19,6 +19,7 @@ VERBS = {
     "cloud": "Make a point cloud or a picture of one.",
     "register": "Colour a cloud from a second camera, or bring ranges to its picture.",
     "dataset": "Make data sets of simulated captures by recipe.",
+    "train": "Train a learned correction on a data set (extra [train]).",
     "bench": "Run, score and report methods over captures.",
 }
 """Verb to its help line; the command itself is ``toftools.cli.<verb>:command``."""

@@ -100,21 +100,39 @@ def optics(sensor: Sensor, shape: tuple[int, int] | None = None) -> Optics:
         )
         raise ValueError(msg)
     way = np.where(np.isfinite(way).all(axis=-1, keepdims=True), way, 0.0)
-    noise, n_freqs = sensor.noise, sensor.modulation.n_freqs
-    signal = np.broadcast_to(noise.contrast, n_freqs) * noise.signal_e * (noise.gain_dn_per_e or 1)
-    angle_deg = np.degrees(np.arccos(np.clip(way[..., 2], -1, 1)))
-    beam = np.zeros(camera.shape)
-    for source in sensor.sources:
-        if source.modulated:
-            table = np.array([[0.0, 1.0], [180.0, 1.0]]) if source.beam is None else source.beam
-            beam += source.strength * np.interp(angle_deg, table[:, 0], table[:, 1], right=0.0)
     return Optics(
         kernel_input(np.moveaxis(way, -1, 0).astype(np.float32)),
         kernel_input(_steps(camera.K, way).astype(np.float32)),
         kernel_input(_solid_angle_sr(camera.K, way).astype(np.float32)),
-        kernel_input((signal[:, None, None] * beam).astype(np.float32)),
+        kernel_input(flash_of(sensor, way)),
         sensor.modulation.freqs_hz,
     )
+
+
+def flash_of(sensor: Sensor, way: F64) -> F32:
+    """Light of the flash along viewing directions.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Light sources (those that are modulated, all taken to sit at the camera), contrast, signal.
+    way : ndarray, (H, W, 3)
+        Unit viewing directions.
+
+    Returns
+    -------
+    ndarray, (F, H, W)
+        Phasor amplitude of a white surface facing the camera at 1 m, float32.
+    """
+    noise, n_freqs = sensor.noise, sensor.modulation.n_freqs
+    signal = np.broadcast_to(noise.contrast, n_freqs) * noise.signal_e * (noise.gain_dn_per_e or 1)
+    angle_deg = np.degrees(np.arccos(np.clip(way[..., 2], -1, 1)))
+    beam = np.zeros(way.shape[:2])
+    for source in sensor.sources:
+        if source.modulated:
+            table = np.array([[0.0, 1.0], [180.0, 1.0]]) if source.beam is None else source.beam
+            beam += source.strength * np.interp(angle_deg, table[:, 0], table[:, 1], right=0.0)
+    return np.asarray(signal[:, None, None] * beam, np.float32)
 
 
 def _steps(K: F64, way: F64) -> F64:

@@ -11,8 +11,10 @@ and a richer model must earn its place:
 - *two returns* (`two_returns`) where much is left unexplained in the neighbourhood, they explain
   nearly all of it, the nearer one is no brighter than white, and its own uncertainty is smaller
   than what it changes.
-- *learned* where the frame still disagrees with itself after that: only there is one return known
-  to be wrong and no other model right.
+- *learned* (`network`, if the package has one for these frequencies) where its own sigma is smaller
+  than what has been decided till then can promise: all that residuals and rejected models leave
+  open is in that sigma. A learned method without a sigma is asked only where the frame still
+  disagrees with itself, which takes several frequencies.
 
 Where the evidence is weak the single return stays, and sigma grows by what the rejected model would
 have changed; unexplained residuals widen it too. Reference: model selection by chi-squared and the
@@ -22,19 +24,18 @@ Input: any frequencies. Fails with its models: light from surfaces out of view s
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
+from toftools.correct._choice import BOUNCED, LEARNED, MODELS, ONE, TWO, Choice, merged, spread_of
 from toftools.correct._evidence import Explained, explained, explains_more, noise_of, pooled
+from toftools.correct._net_file import suits
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
 from toftools.units import range_to_phase
 
-MODELS = ("one return", "bounced light", "two returns", "learned")
-ONE, BOUNCED, TWO, LEARNED = range(4)
 UNEXPLAINED = 3.0
 """Mean residual per degree of freedom from which a neighbourhood needs a richer model."""
 TWO_LEFT = 2.0
@@ -60,17 +61,6 @@ class _Rivals:
     k: F64
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """What has been decided so far."""
-
-    range_m: F32
-    sigma_m: F32
-    chi2: F32
-    model: Any
-    doubt_m: F32
-
-
 def auto(
     sensor: Sensor, *, bounced: str = "", learned: str = "", max_range_m: float = 0.0
 ) -> Callable[[Phasors], DepthMap]:
@@ -84,7 +74,8 @@ def auto(
         Correction for bounced light, as ``name[:key=val,...]`` or ``module:function``: one that
         gives ``info["indirect"]``; empty for `fuchs2010`.
     learned : str
-        A learned correction, the same way; empty for none.
+        A learned correction, the same way; empty for the network of the package that suits the
+        frequencies, if there is one; ``none`` for none.
     max_range_m : float
         Longest range, m; 0 stands for the joint ambiguity.
 
@@ -98,8 +89,8 @@ def auto(
     Raises
     ------
     ValueError
-        If a named method is unknown or a parameter wrong, a learned one is named for one
-        frequency, or the emitter is not at the camera.
+        If a named method is unknown or a parameter wrong, a learned one without a sigma is named
+        for one frequency, or the emitter is not at the camera.
 
     References
     ----------
@@ -118,11 +109,6 @@ def auto(
     refuse_emitter_offset(sensor)
     freqs = sensor.modulation.freqs_hz
     name = "semi_global" if freqs.size > 1 else "crt"
-    if learned and freqs.size == 1:
-        msg = (
-            f"auto cannot tell where learned={learned!r} is needed, got one frequency; use it alone"
-        )
-        raise ValueError(msg)
     fuchs = CORRECTIONS["fuchs2010"]
     limit = {"max_range_m": max_range_m}
     fitted = freqs.size > 1 and not bounced
@@ -131,7 +117,7 @@ def auto(
         find(CORRECTIONS, bounced).build(sensor) if bounced else fuchs.build(sensor, **limit),
         fuchs.build(sensor, albedo_gain=0.0, **limit) if fitted else None,
         None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor, **limit),
-        find(CORRECTIONS, learned).build(sensor) if learned else None,
+        _taught(sensor, learned),
         range_to_phase(1.0, freqs),
     )
     flash = optics(sensor).flash.mean(axis=0)
@@ -154,22 +140,23 @@ def _decided(phasors: Phasors, rivals: _Rivals, flash: F32) -> DepthMap:
     noise = noise_of(phasors, start.range_m, rivals.k)
     plain = explained(phasors.values, noise, start.range_m, rivals.k, usable)
     nothing = np.zeros(usable.shape, np.float32)
-    first = _Choice(
+    first = Choice(
         plain.range_m, plain.sigma_m, plain.chi2, np.full(usable.shape, ONE, np.uint8), nothing
     )
     why: dict[str, str] = {}
     choice, left = _bounced(phasors, rivals, noise, usable, first, flash, why)
     if rivals.k.size > 2:
         choice = _two(left, rivals, usable, choice, flash, why)
-    if rivals.learned is not None and rivals.k.size > 1:
-        choice = _learned(phasors, rivals.learned, usable, choice, rivals.k.size - 1, why)
-    return _answer(start, phasors, usable, choice, max(rivals.k.size - 1, 1), why)
+    dof = max(rivals.k.size - 1, 1)
+    if rivals.learned is not None:
+        choice = _learned(phasors, rivals.learned, usable, choice, dof, why)
+    return _answer(start, phasors, usable, choice, dof, why)
 
 
 def _bounced(
-    phasors: Phasors, rivals: _Rivals, noise: F32, usable: Bool, choice: _Choice, flash: F32,
+    phasors: Phasors, rivals: _Rivals, noise: F32, usable: Bool, choice: Choice, flash: F32,
     why: dict[str, str],
-) -> tuple[_Choice, Phasors]:  # fmt: skip
+) -> tuple[Choice, Phasors]:  # fmt: skip
     """Bounced light taken out where that explains more; and the phasors that remain."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         albedos = (np.abs(phasors.values).mean(axis=0) * choice.range_m**2 / flash)[usable]
@@ -192,27 +179,14 @@ def _bounced(
     taken = touched & believed
     change = np.where(touched, np.abs(freed.range_m - choice.range_m), 0)
     doubt = np.where(taken, np.float32(TRANSPORT_ERROR), 1) * change
-    merged = _merge(choice, freed, taken, BOUNCED, doubt.astype(np.float32))
+    answer = merged(choice, freed, taken, BOUNCED, doubt.astype(np.float32))
     left = np.where(taken, direct, phasors.values).astype(np.complex64)
-    return merged, Phasors(left, phasors.sigma, usable)
-
-
-def _merge(choice: _Choice, other: Explained, taken: Bool, model: int, doubt: F32) -> _Choice:
-    def pick(new: F32, old: F32) -> F32:
-        return np.where(taken, new, old).astype(np.float32)
-
-    return _Choice(
-        pick(other.range_m, choice.range_m),
-        pick(other.sigma_m, choice.sigma_m),
-        pick(other.chi2, choice.chi2),
-        np.where(taken, np.uint8(model), choice.model),
-        doubt,
-    )
+    return answer, Phasors(left, phasors.sigma, usable)
 
 
 def _two(
-    left: Phasors, rivals: _Rivals, usable: Bool, choice: _Choice, flash: F32, why: dict[str, str]
-) -> _Choice:
+    left: Phasors, rivals: _Rivals, usable: Bool, choice: Choice, flash: F32, why: dict[str, str]
+) -> Choice:
     """Two returns where the neighbourhood needs them and they explain it."""
     assert rivals.two is not None
     dof = rivals.k.size - 1
@@ -235,34 +209,51 @@ def _two(
     why[MODELS[TWO]] = f"taken in {share:.0%} of the pixels whose neighbourhood needs more"
     chi2 = np.asarray(tried.info["chi2"] * dof / own_dof, np.float32)
     other = Explained(tried.range_m, chi2, sigma_m)
-    return _merge(choice, other, two, TWO, np.where(two, 0, choice.doubt_m).astype(np.float32))
+    return merged(choice, other, two, TWO, np.where(two, 0, choice.doubt_m).astype(np.float32))
+
+
+def _taught(sensor: Sensor, learned: str) -> Callable[[Phasors], DepthMap] | None:
+    """The learned method; None where there is none."""
+    if learned == "none" or (not learned and not suits(sensor)):
+        return None
+    run = find(CORRECTIONS, learned or "network").build(sensor)
+    n_freqs = sensor.modulation.n_freqs
+    pixel = np.ones((n_freqs, 1, 1), np.complex64)
+    if n_freqs == 1 and run(Phasors(pixel)).sigma_m is None:
+        msg = (
+            f"auto cannot tell where learned={learned!r} is needed, got one frequency and no sigma "
+            "from it; use it alone"
+        )
+        raise ValueError(msg)
+    return run
 
 
 def _learned(
-    phasors: Phasors, method: Callable[[Phasors], DepthMap], usable: Bool, choice: _Choice,
+    phasors: Phasors, method: Callable[[Phasors], DepthMap], usable: Bool, choice: Choice,
     dof: int, why: dict[str, str],
-) -> _Choice:  # fmt: skip
-    """The learned answer where the frame still disagrees with itself."""
-    need, _ = pooled(choice.chi2, usable, dof)
-    asked = usable & (need > UNEXPLAINED) & (choice.model != TWO)
+) -> Choice:  # fmt: skip
+    """The learned answer where it promises more, or where the frame disagrees with itself."""
     tried = method(phasors)
-    taken = asked & np.isfinite(tried.range_m)
-    why[MODELS[LEARNED]] = f"taken in {float(taken.mean()):.0%} of the frame, unexplained till then"
-    sigma_m = choice.sigma_m if tried.sigma_m is None else tried.sigma_m
+    given = usable & np.isfinite(tried.range_m)
+    spread, need = spread_of(choice, usable, dof)
+    if tried.sigma_m is None:
+        taken, sigma_m = given & (need > UNEXPLAINED) & (choice.model != TWO), choice.sigma_m
+        said = "unexplained till then"
+    else:
+        taken, sigma_m = given & (tried.sigma_m < spread), tried.sigma_m
+        said = "where its sigma is the smallest"
+    share = float(taken.sum() / max(int(usable.sum()), 1))
+    why[MODELS[LEARNED]] = f"taken in {share:.0%} of the frame, {said}"
     other = Explained(tried.range_m, choice.chi2, sigma_m)
-    return _merge(choice, other, taken, LEARNED, choice.doubt_m)
+    return merged(choice, other, taken, LEARNED, np.where(taken, 0, choice.doubt_m))
 
 
 def _answer(
-    start: DepthMap, phasors: Phasors, usable: Bool, choice: _Choice, dof: int,
+    start: DepthMap, phasors: Phasors, usable: Bool, choice: Choice, dof: int,
     why: Mapping[str, str],
 ) -> DepthMap:  # fmt: skip
     """The choice as an answer; residuals and doubts widen sigma."""
-    left, count = pooled(choice.chi2, usable, dof)
-    # Residuals beyond noise widen sigma by their root (Birge's ratio).
-    beyond = left > 1 + 3 * np.sqrt(2 / dof / np.maximum(count, 1))
-    birge = np.where(beyond, np.sqrt(np.maximum(left, 1)), 1)
-    spread = np.hypot(choice.sigma_m * birge, choice.doubt_m)
+    spread, left = spread_of(choice, usable, dof)
     counts = np.bincount(choice.model[usable].astype(np.int64), minlength=len(MODELS))
     return DepthMap(
         range_m=np.where(usable, choice.range_m, np.nan),

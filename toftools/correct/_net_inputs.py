@@ -1,0 +1,247 @@
+"""What a network of the kind `phasors` sees of a frame: numbers that keep their meaning.
+
+Per pixel (full resolution): the nearest of the likeliest ranges, where the others lie and how well
+each explains the phases, by how much the frequencies disagree, the reflectance, the viewing
+direction. Per patch (`_net_coarse`): what light of one bounce between visible surfaces would do.
+Global amplitude drops out (reflectance is relative to the frame's median), absolute phase too
+(residuals are taken at the candidates), and ranges count in wavelengths of the trained
+frequencies, so that a set k times higher sees a world k times smaller. Reference: the encoding is
+ours; one-bounce light after S. Fuchs, ICPR 2010. Inputs: phasors, optics. Fails as its candidates
+do: none is near the truth when noise is a quarter turn.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from toftools._turns import FAST, turns
+from toftools.camera import rays
+from toftools.correct import kernel_input
+from toftools.correct._net_coarse import (
+    COARSE,
+    RANGE_M,
+    SHIFT_M,
+    Coarse,
+    coarse_light,
+    coarse_optics,
+)
+from toftools.correct._scene import flash_of
+from toftools.correct._wraps import Plan, plan, search
+from toftools.types import F32, Bool, Phasors, Sensor
+from toftools.units import TWO_PI, range_to_phase
+
+CANDIDATES = 3
+"""Ranges that a network of several frequencies may choose from."""
+RELATIVE_MAX = 4.0
+"""Largest logarithm of a relative reflectance."""
+MOST = np.float32(8.0)
+"""Residuals count as no larger, in units of `SHIFT_M`."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What does not change from frame to frame.
+
+    Parameters
+    ----------
+    walk : Plan
+        Search for candidates.
+    turns_per_m : ndarray, (F,)
+        Phase per range, turns/m, float32.
+    rays : ndarray, (2, H, W)
+        x and y of the unit viewing directions, float32.
+    dim : ndarray, (H, W)
+        One over the amplitude of a white surface facing the camera at 1 m, float32.
+    coarse : Coarse
+        The same view on few pixels.
+    metre : float
+        Metres of the trained frequencies per metre: ratio of these frequencies to those.
+    """
+
+    walk: Plan
+    turns_per_m: F32
+    rays: F32
+    dim: F32
+    coarse: Coarse
+    metre: float
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Input of a network.
+
+    Parameters
+    ----------
+    full : ndarray, (C, H, W)
+        Channels at full resolution, float32.
+    coarse : ndarray, (D, H / 4, W / 4)
+        Channels of patches, float32.
+    candidates_m : ndarray, (K, H, W)
+        Ranges that the output refers to, m, likeliest first.
+    valid : ndarray, (H, W), bool
+        Pixels with a signal.
+    longest_m : float
+        Longest range that can be told, m.
+    """
+
+    full: F32
+    coarse: F32
+    candidates_m: F32
+    valid: Bool
+    longest_m: float
+
+
+def channels(n_freqs: int) -> tuple[int, int]:
+    """Channels at full resolution and of patches.
+
+    Parameters
+    ----------
+    n_freqs : int
+        Frequencies.
+
+    Returns
+    -------
+    tuple of int
+        Their numbers.
+    """
+    extra = n_candidates(n_freqs) - 1
+    return 5 + (n_freqs + 1 if n_freqs > 1 else 0) + 2 * extra, COARSE + 2 * n_freqs
+
+
+def n_candidates(n_freqs: int) -> int:
+    """Ranges a network chooses from.
+
+    Parameters
+    ----------
+    n_freqs : int
+        Frequencies.
+
+    Returns
+    -------
+    int
+        One for one frequency, which has one range within its ambiguity.
+    """
+    return CANDIDATES if n_freqs > 1 else 1
+
+
+def view_of(sensor: Sensor, metre: float, max_range_m: float) -> View:
+    """Prepare for a sensor.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Camera, light and frequencies.
+    metre : float
+        Ratio of its frequencies to those trained.
+    max_range_m : float
+        Longest range, m; 0 stands for the joint ambiguity.
+
+    Returns
+    -------
+    View
+        For frames of the camera's shape.
+    """
+    freqs, camera = sensor.modulation.freqs_hz, sensor.camera
+    way = rays(camera)
+    flash = flash_of(sensor, np.where(np.isfinite(way), way, 0)).mean(axis=0)
+    return View(
+        plan(sensor, max_range_m, least_freqs=1, method="network"),
+        (range_to_phase(1.0, freqs) / TWO_PI).astype(np.float32),
+        kernel_input(np.ascontiguousarray(np.moveaxis(way[..., :2], -1, 0), np.float32)),
+        kernel_input((1 / np.maximum(flash, 1e-12)).astype(np.float32)),
+        coarse_optics(sensor),
+        metre,
+    )
+
+
+def seen(phasors: Phasors, view: View) -> Seen:
+    """What a network sees of a frame.
+
+    Parameters
+    ----------
+    phasors : Phasors
+        Values (F, H, W); amplitudes in any unit.
+    view : View
+        Of its sensor, of the same shape.
+
+    Returns
+    -------
+    Seen
+        Network input.
+    """
+    n_freqs, height, width = phasors.values.shape
+    # Unit phasors: cameras tell amplitudes per frequency or not, and the search must not differ.
+    amplitude = np.abs(phasors.values)
+    lit = phasors.valid & (amplitude > 0).all(axis=0)
+    amplitude = np.where(lit, amplitude, np.float32(1))
+    unit = np.where(lit, phasors.values / amplitude, np.complex64(1)).astype(np.complex64)
+    found = search(Phasors(unit), view.walk, top=n_candidates(n_freqs))
+    candidates = np.where(np.isfinite(found.range_m), found.range_m, found.range_m[0])
+    full = np.empty((channels(n_freqs)[0], height, width), np.float32)
+    flat = full.reshape(full.shape[0], -1)
+    _describe(
+        kernel_input(unit).reshape(n_freqs, -1),
+        kernel_input(amplitude).reshape(n_freqs, -1),
+        kernel_input(candidates).reshape(candidates.shape[0], -1),
+        kernel_input(lit).reshape(-1),
+        view.turns_per_m, view.rays.reshape(2, -1), view.dim.reshape(-1),
+        np.float32(view.metre), flat,
+    )  # fmt: skip
+    _relative(full[3], lit)
+    coarse = coarse_light(candidates[0], full[3], lit, view.coarse, view.metre)
+    return Seen(full, coarse, candidates, lit, view.walk.max_range_m)
+
+
+def _relative(reflectance: F32, lit: Bool) -> None:
+    """Logarithms of reflectance relative to the frame's median, in place."""
+    some = reflectance[::4, ::4][lit[::4, ::4]]
+    if not some.size:
+        some = reflectance[lit]
+    middle = np.median(some) if some.size else np.float32(0)
+    reflectance -= middle
+    np.clip(reflectance, -RELATIVE_MAX, RELATIVE_MAX, out=reflectance)
+    reflectance *= lit
+
+
+@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
+def _describe(
+    unit: F32, amplitude: F32, candidates: F32, lit: Bool, turns_per_m: F32, way: F32, dim: F32,
+    metre: np.float32, out: F32,
+) -> None:  # fmt: skip
+    """Fill the channels at full resolution.
+
+    Range, ray x and y, log reflectance, lit; then, of several frequencies, their residuals at the
+    first candidate, how badly each candidate explains the phases, and how far the others lie.
+    """
+    n_freqs, n_cand = unit.shape[0], candidates.shape[0]
+    for p in prange(unit.shape[1]):
+        if not lit[p]:
+            out[:, p] = 0
+            out[1, p], out[2, p] = way[0, p], way[1, p]
+            continue
+        first = candidates[0, p]
+        mean = np.float32(0)
+        for f in range(n_freqs):
+            mean += amplitude[f, p]
+        bright = mean / np.float32(n_freqs) * max(first * first, np.float32(1e-4)) * dim[p]
+        out[0, p] = first * metre / np.float32(RANGE_M)
+        out[1, p], out[2, p] = way[0, p], way[1, p]
+        out[3, p] = np.log(max(bright, np.float32(1e-20)))
+        out[4, p] = 1
+        if n_freqs == 1:
+            continue
+        for c in range(n_cand):
+            misfit = np.float32(0)
+            for f in range(n_freqs):
+                off = turns(unit[f, p].real, unit[f, p].imag) - turns_per_m[f] * candidates[c, p]
+                off -= np.rint(off)
+                misfit += off * off
+                if c == 0:
+                    shift = off / turns_per_m[f] * metre / np.float32(SHIFT_M)
+                    out[5 + f, p] = min(max(shift, -MOST), MOST)
+            misfit = np.sqrt(misfit / np.float32(n_freqs)) * np.float32(8)
+            out[5 + n_freqs + c, p] = misfit
+            if c > 0:
+                away = (candidates[c, p] - first) * metre / np.float32(RANGE_M)
+                out[5 + n_freqs + n_cand - 1 + c, p] = away

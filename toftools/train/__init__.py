@@ -1,0 +1,1 @@
+"""Training of the learned corrections (extra [train]): data set in, ONNX file out."""
