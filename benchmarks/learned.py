@@ -75,20 +75,20 @@ def main(arguments=None):
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "results.json"
     kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    log = print
-    if "held_out" in given.only and given.data:
-        kept["held_out"] = learned_held_out.measure(given.data, "test", given.networks, log)
-    if "albedo" in given.only and given.albedo:
-        kept["albedo"] = learned_held_out.measure(
-            given.albedo, "test", given.networks, log, key=lambda e: f"albedos {paint(e)}"
-        )
-    if "su" in given.only:
-        kept["su"] = su(given.networks, log)
-    if "speed" in given.only:
-        kept["speed"] = learned_speed.measure(given.networks, log)
-    if "steady" in given.only:
-        kept["steady"] = steady(given.networks, log)
-    path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    parts = {
+        "held_out": lambda: learned_held_out.measure(given.data, "test", given.networks, print),
+        "albedo": lambda: learned_held_out.measure(
+            given.albedo, "test", given.networks, print, key=lambda e: f"albedos {paint(e)}"
+        ),
+        "su": lambda: su(given.networks, print),
+        "speed": lambda: learned_speed.measure(given.networks, print),
+        "steady": lambda: steady(given.networks, print),
+    }
+    needs = {"held_out": given.data, "albedo": given.albedo}
+    for name in given.only:
+        if needs.get(name, given.out):
+            kept[name] = parts[name]()
+            path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     learned_draw.write(kept, given.out)
     (given.out / "model_card.md").write_text(learned_card.text(kept), encoding="utf-8")
 

@@ -29,7 +29,7 @@ def measure(networks, log):
         full, coarse = channels(len(card.freqs_hz))
         found[path.stem] = {"bytes": len(data)}
         for height, width in SIZES:
-            freqs = "+".join(f"{freq:g}" for freq in card.freqs_hz)
+            freqs = "+".join(f"{freq:.0f}" for freq in card.freqs_hz)
             device = sensor(f"deeptof:width={width},height={height},hfov_deg=70,freqs={freqs}")
             values = _room(device)
             shapes = {"full": (full, height, width), "coarse": (coarse, height // 4, width // 4)}

@@ -42,3 +42,33 @@ def described(values, candidates_m, valid, device, metre):
                     out[5 + n_freqs + extra + c, v, u] = (range_m - first) * metre / RANGE_M
                 out[5 + n_freqs + c, v, u] = 8 * np.sqrt(np.mean((residual / (2 * np.pi)) ** 2))
     return out
+
+
+def ordered(candidates_m, values, lit, guide, around_m):
+    """Mean phasors of the cells, and candidates with the one first that agrees with a cell near."""
+    shape = values.shape[0], guide.rows.size - 1, guide.columns.size - 1
+    cells, out = np.zeros(shape, complex), candidates_m.copy()
+    for r in range(shape[1]):
+        for c in range(shape[2]):
+            rows = slice(guide.rows[r], guide.rows[r + 1])
+            columns = slice(guide.columns[c], guide.columns[c + 1])
+            inside = lit[rows, columns]
+            if inside.any():
+                cells[:, r, c] = values[:, rows, columns][:, inside].mean(axis=1)
+            beside = [(r, c), (r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)]
+            near = [around_m[a, b] for a, b in beside if 0 <= a < shape[1] and 0 <= b < shape[2]]
+            for v in range(rows.start, rows.stop):
+                for u in range(columns.start, columns.stop):
+                    first = _first(candidates_m[:, v, u], near, guide.agrees_m)
+                    others = np.delete(candidates_m[:, v, u], first)
+                    out[:, v, u] = [candidates_m[first, v, u], *others]
+    return cells, out
+
+
+def _first(mine_m, near_m, agrees_m):
+    """The likeliest that agrees with the own cell; or with one beside it; or the likeliest."""
+    for some in (near_m[:1], near_m[1:]):
+        for k, range_m in enumerate(mine_m):
+            if any(abs(range_m - other) < agrees_m for other in some):
+                return k
+    return 0

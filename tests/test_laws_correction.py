@@ -66,7 +66,8 @@ NEEDS_SEVERAL = [name for name in CORRECTIONS if ONE not in SENSORS.get(name, (T
 # Noise-free recovery of a lone return: float32 phasors leave 1e-4 m at the joint ambiguity.
 RECOVERY_M = 3e-4
 # Moving all paths moves them against an entry's own range grid: half a cell of its default 1 cm.
-GRID_M = {"sra": 0.005, "sra_lp": 0.005}
+# A network expects the bounced light of rooms even where there is none.
+GRID_M = {"sra": 0.005, "sra_lp": 0.005, "network": 0.3}
 FALSE_RETURNS = "noise makes small false returns and the first wins (its header gives the rates)"
 MEDIAN_ONLY = {"sra": FALSE_RETURNS, "sra_lp": FALSE_RETURNS}
 SLOW = {"sra_lp": "a linear program per pixel, tens of milliseconds each"}

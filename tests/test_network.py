@@ -7,9 +7,10 @@ import sys
 import numpy as np
 import onnx
 import pytest
-from network_twin import described
+from network_twin import described, ordered
 from onnx import TensorProto, helper
 
+from toftools.camera import resized
 from toftools.correct._net_coarse import MIDDLE_ALBEDO, SHIFT_M, coarse_light
 from toftools.correct._net_engine import OVERLAP, TILE, engine, tiled
 from toftools.correct._net_file import (
@@ -22,11 +23,12 @@ from toftools.correct._net_file import (
     to_text,
     wanted,
 )
+from toftools.correct._net_guide import guide_of, preferred
 from toftools.correct._net_inputs import channels, seen, view_of
 from toftools.correct.network import network
 from toftools.registry import CORRECTIONS, find
 from toftools.sensors import sensor
-from toftools.types import Phasors
+from toftools.types import DepthMap, Phasors
 from toftools.units import C_M_S, range_to_phase
 
 DEVICE = "opt8241:width=48,height=32"
@@ -142,6 +144,50 @@ def test_one_bounce_is_that_of_all_pairs_in_closed_form():
     assert rho.real.max() > 0.01
 
 
+def test_candidates_are_ordered_as_by_the_slow_twin():
+    device = sensor("opt8241:width=50,height=33")
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal((2, 33, 50)) + 1j * rng.standard_normal((2, 33, 50))
+    amplitude = np.abs(values).astype(np.float32)
+    unit = (values / amplitude).astype(np.complex64)
+    lit = rng.random((33, 50)) < 0.9
+    lit[:9, :9] = False
+    candidates = rng.uniform(0, 5, (3, 33, 50)).astype(np.float32)
+    guide = guide_of(dataclasses.replace(device, camera=resized(device.camera, 50, 33)), 1.0, 0.0)
+    guide = dataclasses.replace(guide, rows=np.arange(9) * 33 // 8, columns=np.arange(11) * 5)
+    asked = {}
+
+    def run(phasors):
+        asked["cells"], asked["valid"] = phasors.values, phasors.valid
+        told = rng.uniform(0, 5, phasors.valid.shape).astype(np.float32)
+        asked["range_m"] = np.where(phasors.valid, told, np.nan)
+        return DepthMap(asked["range_m"])
+
+    guide = dataclasses.replace(guide, run=run)
+    dim = np.ones((33, 50), np.float32)
+    got = preferred(candidates, unit, amplitude, lit, dim, guide)
+    cells, want = ordered(candidates, values, lit, guide, asked["range_m"])
+    ratio = asked["cells"][:, asked["valid"]] / cells[:, asked["valid"]]
+    assert np.allclose(ratio, ratio.flat[0].real, rtol=1e-4), "a common gain"
+    assert np.array_equal(asked["valid"], np.abs(cells).min(axis=0) > 0)
+    assert not asked["valid"].all() and asked["valid"].any()
+    assert np.array_equal(got, want) and (got[0] != candidates[0]).any()
+
+
+def test_a_neighbourhood_overrules_the_phases_of_a_pixel():
+    """A wall whose phase at 70 MHz is off by a third of a turn in one pixel."""
+    device = sensor("opt8241:width=40,height=30")
+    k = range_to_phase(1.0, device.modulation.freqs_hz)[:, None, None]
+    values = np.exp(1j * k * np.full((30, 40), 2.0))
+    values[1, 14, 21] *= np.exp(2.2j)
+    got = seen(Phasors(values.astype(np.complex64)), view_of(device, 1.0, 0.0))
+    same = np.broadcast_to(values[:, 14:15, 21:22], values.shape).astype(np.complex64)
+    alone = seen(Phasors(same), view_of(device, 1.0, 0.0))
+    assert abs(alone.candidates_m[0, 14, 21] - 2) > 1
+    # The turn is right; what the phase is off by is left to the shift.
+    assert abs(got.candidates_m[0, 14, 21] - 2) < 0.7
+
+
 def test_pixels_without_signal_leave_no_trace():
     device = sensor(DEVICE)
     values, _ = corner(device)
@@ -218,13 +264,18 @@ def test_tiles_are_as_the_whole(tmp_path):
 
 
 def test_opencv_answers_where_onnxruntime_is_not_installed(tmp_path, monkeypatch):
-    for path in sorted(WEIGHTS.glob("*.onnx")):
+    files = sorted(WEIGHTS.glob("*.onnx"))
+    assert len(files) > 2
+    for path in files:
         data = path.read_bytes()
         card, _ = read_card(path)
         full, coarse = channels(len(card.freqs_hz))
         rng = np.random.default_rng(1)
-        inputs = {"full": rng.standard_normal((1, full, 64, 96), np.float32),
-                  "coarse": rng.standard_normal((1, coarse, 16, 24), np.float32)}  # fmt: skip
+        shapes = {"full": (1, full, 64, 96), "coarse": (1, coarse, 16, 24)}
+        if card.input == "range":
+            shapes = {"range_m": (1, 1, 64, 96)}
+        inputs = {name: rng.uniform(0.5, 2, shape).astype(np.float32)
+                  for name, shape in shapes.items()}  # fmt: skip
         want = engine(data, "net")(inputs)
         with monkeypatch.context() as patch:
             patch.setattr("importlib.util.find_spec", lambda _: None)

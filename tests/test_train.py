@@ -320,6 +320,16 @@ def test_range_networks_correct_too(data, tmp_path):
     assert depth.range_m.shape == (41, 50) and depth.sigma_m is None
 
 
+def test_a_recipe_may_name_its_data(data, tmp_path):
+    (data.parent / "near.toml").write_text(SMALL + f'data = "{data.name}"')
+    line = ["train", str(data.parent / "near.toml"), "--out", str(tmp_path / "a.onnx")]
+    done = CliRunner().invoke(cli, line)
+    assert done.exit_code == 0, done.output
+    (tmp_path / "none.toml").write_text(SMALL)
+    line[1] = str(tmp_path / "none.toml")
+    assert "names no data set; give --data" in str(CliRunner().invoke(cli, line).exception)
+
+
 def test_wrong_names_are_told(tmp_path):
     line = ["train", "nothing", "--data", str(tmp_path), "--out", str(tmp_path / "a.onnx")]
     assert "one of: deeptof2017" in str(CliRunner().invoke(cli, line).exception)

@@ -9,7 +9,8 @@ import click
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("recipe")
-@click.option("--data", required=True, type=click.Path(path_type=Path, file_okay=False),
+@click.option("--data", type=click.Path(path_type=Path, file_okay=False), default=None,
+              show_default="that of the recipe",
               help="Data set, made by toftools dataset make.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False),
               help="ONNX file.")  # fmt: skip
@@ -20,7 +21,13 @@ import click
               help="ONNX file of the same network in eight bits.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print figures of the validation as JSON.")
 def command(
-    *, recipe: str, data: Path, out: Path, work: Path | None, int8: Path | None, as_json: bool
+    *,
+    recipe: str,
+    data: Path | None,
+    out: Path,
+    work: Path | None,
+    int8: Path | None,
+    as_json: bool,
 ) -> int:
     """Train the network of RECIPE: a TOML file, or one that comes with the package.
 
@@ -44,7 +51,12 @@ def command(
         check_target(target)
     found = read_train_recipe(recipe)
     folder = work or out.with_suffix("")
-    last = run(found, data, out, folder, int8, lambda text: click.echo(text, err=True))
+    if data is None and not found.data:
+        msg = f"the recipe {recipe} names no data set; give --data DIR (toftools dataset make)"
+        raise ValueError(msg)
+    last = run(
+        found, data or Path(found.data), out, folder, int8, lambda text: click.echo(text, err=True)
+    )
     if as_json:
         click.echo(json.dumps(last))
         return 0

@@ -78,7 +78,7 @@ def coarse_optics(sensor: Sensor) -> Coarse:
     """
     height, width = sensor.camera.shape
     columns = min(COLUMNS, width)
-    rows = max(min(round(columns * height / width), height), 1)
+    rows = max(min(round(columns * height / width), height, 4 * COLUMNS), 1)
     small = optics(replace(sensor, camera=resized(sensor.camera, columns, rows), maps=None))
     flash = kernel_input(small.flash / max(float(small.flash.max()), 1e-30))
     return Coarse(

@@ -5,7 +5,8 @@ network takes from the mean of the frame it then takes from the mean of the tile
 """
 
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -39,11 +40,29 @@ def engine(data: bytes, name: str) -> Engine:
         If the network cannot be built.
     """
     build = _onnxruntime if importlib.util.find_spec("onnxruntime") else _opencv
+    with _one_sentence(f"cannot build the network {name}"):
+        ready = build(data)
+
+    def run(inputs: Mapping[str, F32]) -> F32:
+        with _one_sentence(f"the network {name} does not take the input that it names"):
+            out = ready(inputs)
+        whole = next(iter(inputs.values())).shape[2:]
+        if out.ndim != 4 or out.shape[0] != 1 or out.shape[2:] != whole:
+            msg = f"the network {name} answers {out.shape}, wanted an image of {whole} pixels"
+            raise ValueError(msg)
+        return out
+
+    return run
+
+
+@contextmanager
+def _one_sentence(said: str) -> Iterator[None]:
+    """Either library raises what it likes, over many lines."""
     try:
-        return build(data)
-    except Exception as error:  # either library raises what it likes
+        yield
+    except Exception as error:
         text = " ".join(str(error).split())
-        msg = f"cannot build the network {name}: {text[:200]}"
+        msg = f"{said}: {text[:200]}"
         raise ValueError(msg) from error
 
 

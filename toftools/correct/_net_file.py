@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from toftools.correct._net_coarse import COLUMNS, MIDDLE_ALBEDO, RANGE_M, SHIFT_M
+from toftools.correct._net_guide import AGREES_M
+from toftools.correct._net_guide import COLUMNS as GUIDE_COLUMNS
 from toftools.correct._onnx_metadata import metadata
 from toftools.types import F64, Sensor
 
@@ -23,12 +25,16 @@ INPUTS = ("phasors", "range")
 """Kinds of input: see `_net_inputs`; or one range image."""
 NORMALISATION: Mapping[str, float] = {
     "range_m": RANGE_M, "shift_m": SHIFT_M, "middle_albedo": MIDDLE_ALBEDO, "columns": COLUMNS,
+    "guide_columns": GUIDE_COLUMNS, "agrees_m": AGREES_M,
 }  # fmt: skip
 """Constants of the input; a file with others was trained on another input."""
 FORMAT = 1
+MULTIPLES = (16, 32, 64)
+"""Of which rows and columns may be multiples; tiles are multiples of all."""
 SAME_RATIO = 0.01
 """Relative error of frequencies up to which a set counts as the trained one."""
 MOST_BYTES = 1 << 28
+MOST_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,7 @@ def _card(text: str, path: Path) -> Card:
                 "scales": tuple(float(s) for s in given["scales"]),
             }
         )
-    except (TypeError, KeyError, ValueError, RecursionError):
+    except (TypeError, KeyError, ValueError, OverflowError, RecursionError):
         pass
     if card is None or not _plausible(card):
         msg = f"the network {path} describes itself in words this version does not know"
@@ -165,11 +171,9 @@ def _plausible(card: Card) -> bool:
         and bool(card.freqs_hz)
         and len(card.scales) == 2
         and all(math.isfinite(n) and n > 0 for n in numbers)
-        and isinstance(card.multiple, int)
-        and 1 <= card.multiple <= 256
+        and card.multiple in MULTIPLES
         and isinstance(card.max_range_m, int | float)
-        and math.isfinite(card.max_range_m)
-        and card.max_range_m >= 0
+        and 0 <= card.max_range_m < MOST_M
         and isinstance(card.normalisation, dict)
     )
 

@@ -1,13 +1,13 @@
 """What a network of the kind `phasors` sees of a frame: numbers that keep their meaning.
 
-Per pixel (full resolution): the nearest of the likeliest ranges, where the others lie and how well
-each explains the phases, by how much the frequencies disagree, the reflectance, the viewing
-direction. Per patch (`_net_coarse`): what light of one bounce between visible surfaces would do.
-Global amplitude drops out (reflectance is relative to the frame's median), absolute phase too
-(residuals are taken at the candidates), and ranges count in wavelengths of the trained
-frequencies, so that a set k times higher sees a world k times smaller. Reference: the encoding is
-ours; one-bounce light after S. Fuchs, ICPR 2010. Inputs: phasors, optics. Fails as its candidates
-do: none is near the truth when noise is a quarter turn.
+Per pixel (full resolution): the likeliest ranges, the one first that the neighbourhood prefers
+(`_net_guide`), how well each explains the phases, by how much the frequencies disagree, the
+reflectance, the viewing direction. Per patch (`_net_coarse`): what light of one bounce between
+visible surfaces would do. Global amplitude drops out (reflectance is relative to the frame's
+median), absolute phase too (residuals are taken at the candidates), and ranges count in wavelengths
+of the trained frequencies, so that a set k times higher sees a world k times smaller. Reference:
+the encoding is ours; one-bounce light after S. Fuchs, ICPR 2010. Inputs: phasors, optics. Fails as
+its candidates do: none is near the truth when noise is a quarter turn.
 """
 
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ from toftools.correct._net_coarse import (
     coarse_light,
     coarse_optics,
 )
+from toftools.correct._net_guide import Guide, guide_of, preferred
 from toftools.correct._scene import flash_of
 from toftools.correct._wraps import Plan, plan, search
 from toftools.types import F32, Bool, Phasors, Sensor
@@ -53,8 +54,12 @@ class View:
         x and y of the unit viewing directions, float32.
     dim : ndarray, (H, W)
         One over the amplitude of a white surface facing the camera at 1 m, float32.
+    seen_px : ndarray, (H, W), bool
+        False where no ray belongs to a pixel.
     coarse : Coarse
         The same view on few pixels.
+    guide : Guide or None
+        Coarse unwrapping; None for one frequency.
     metre : float
         Metres of the trained frequencies per metre: ratio of these frequencies to those.
     """
@@ -63,7 +68,9 @@ class View:
     turns_per_m: F32
     rays: F32
     dim: F32
+    seen_px: Bool
     coarse: Coarse
+    guide: Guide | None
     metre: float
 
 
@@ -144,13 +151,20 @@ def view_of(sensor: Sensor, metre: float, max_range_m: float) -> View:
     """
     freqs, camera = sensor.modulation.freqs_hz, sensor.camera
     way = rays(camera)
-    flash = flash_of(sensor, np.where(np.isfinite(way), way, 0)).mean(axis=0)
+    seen_px = np.asarray(np.isfinite(way).all(axis=-1))
+    way = np.where(seen_px[..., None], way, 0)
+    flash = flash_of(sensor, way).mean(axis=0)
+    walk = plan(sensor, max_range_m, least_freqs=1, method="network")
     return View(
-        plan(sensor, max_range_m, least_freqs=1, method="network"),
+        walk,
         (range_to_phase(1.0, freqs) / TWO_PI).astype(np.float32),
         kernel_input(np.ascontiguousarray(np.moveaxis(way[..., :2], -1, 0), np.float32)),
-        kernel_input((1 / np.maximum(flash, 1e-12)).astype(np.float32)),
+        kernel_input(
+            (1 / np.maximum(flash, 1e-6 * max(float(flash.max()), 1e-12))).astype(np.float32)
+        ),
+        seen_px,
         coarse_optics(sensor),
+        guide_of(sensor, metre, walk.max_range_m) if freqs.size > 1 else None,
         metre,
     )
 
@@ -173,11 +187,13 @@ def seen(phasors: Phasors, view: View) -> Seen:
     n_freqs, height, width = phasors.values.shape
     # Unit phasors: cameras tell amplitudes per frequency or not, and the search must not differ.
     amplitude = np.abs(phasors.values)
-    lit = phasors.valid & (amplitude > 0).all(axis=0)
+    lit = phasors.valid & view.seen_px & (amplitude > 0).all(axis=0)
     amplitude = np.where(lit, amplitude, np.float32(1))
-    unit = np.where(lit, phasors.values / amplitude, np.complex64(1)).astype(np.complex64)
+    unit = np.asarray(np.where(lit, phasors.values, np.complex64(1)) / amplitude, np.complex64)
     found = search(Phasors(unit), view.walk, top=n_candidates(n_freqs))
     candidates = np.where(np.isfinite(found.range_m), found.range_m, found.range_m[0])
+    if view.guide is not None:
+        candidates = preferred(candidates, unit, amplitude, lit, view.dim, view.guide)
     full = np.empty((channels(n_freqs)[0], height, width), np.float32)
     flat = full.reshape(full.shape[0], -1)
     _describe(

@@ -23,7 +23,7 @@ Input: any frequencies. Fails with its models: light from surfaces out of view s
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,7 +117,7 @@ def auto(
         find(CORRECTIONS, bounced).build(sensor) if bounced else fuchs.build(sensor, **limit),
         fuchs.build(sensor, albedo_gain=0.0, **limit) if fitted else None,
         None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor, **limit),
-        _taught(sensor, learned),
+        _taught(sensor, learned, max_range_m),
         range_to_phase(1.0, freqs),
     )
     flash = optics(sensor).flash.mean(axis=0)
@@ -212,8 +212,10 @@ def _two(
     return merged(choice, other, two, TWO, np.where(two, 0, choice.doubt_m).astype(np.float32))
 
 
-def _taught(sensor: Sensor, learned: str) -> Callable[[Phasors], DepthMap] | None:
-    """The learned method; None where there is none."""
+def _taught(
+    sensor: Sensor, learned: str, max_range_m: float
+) -> Callable[[Phasors], DepthMap] | None:
+    """The learned method, whose answers beyond the limit are none; None where there is none."""
     if learned == "none" or (not learned and not suits(sensor)):
         return None
     run = find(CORRECTIONS, learned or "network").build(sensor)
@@ -225,7 +227,14 @@ def _taught(sensor: Sensor, learned: str) -> Callable[[Phasors], DepthMap] | Non
             "from it; use it alone"
         )
         raise ValueError(msg)
-    return run
+
+    def within(phasors: Phasors) -> DepthMap:
+        depth: DepthMap = run(phasors)
+        if not max_range_m:
+            return depth
+        return replace(depth, range_m=np.where(depth.range_m <= max_range_m, depth.range_m, np.nan))
+
+    return within
 
 
 def _learned(
@@ -237,7 +246,7 @@ def _learned(
     given = usable & np.isfinite(tried.range_m)
     spread, need = spread_of(choice, usable, dof)
     if tried.sigma_m is None:
-        taken, sigma_m = given & (need > UNEXPLAINED) & (choice.model != TWO), choice.sigma_m
+        taken, sigma_m = given & (need > UNEXPLAINED) & (choice.model != TWO), spread
         said = "unexplained till then"
     else:
         taken, sigma_m = given & (tried.sigma_m < spread), tried.sigma_m

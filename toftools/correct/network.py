@@ -3,11 +3,13 @@
 Two kinds of network: `phasors`, which sees the candidates for the range, how the frequencies
 disagree and one bounce of light between the visible surfaces (`_net_inputs`), and answers with a
 candidate, a shift and the scale of its error; and `range`, which sees a range image and answers
-with one (after Marco et al., DeepToF, ACM TOG 2017). The files that come with the package were
-trained on simulated rooms, tables and corners (docs/learned): their cards say how good they are
-and where they fail. Inputs: phasors of the trained frequencies or a common multiple of them.
-Fails outside of what it has seen: other frequencies are refused, other scenes cannot be told;
-sigma is that of scenes like those of training.
+with one. The files that come with the package were trained on simulated rooms, tables and corners
+(docs/learned): their cards say how good they are and where they fail. References: J. Marco et al.,
+DeepToF, ACM TOG 36 (2017), for the second kind and the way to the data; the first kind is ours.
+Inputs: phasors of the trained frequencies or a common multiple of them. Fails outside of what it
+has seen: other frequencies are refused, other scenes cannot be told; sigma is that of scenes like
+those of training, and light that did not bounce is taken for light that did, by millimetres to
+centimetres.
 """
 
 from collections.abc import Callable
@@ -24,6 +26,7 @@ from toftools.correct._net_engine import Engine, engine, tiled
 from toftools.correct._net_file import WEIGHTS, Card, as_mapping, fitted, read_card, wanted
 from toftools.correct._net_inputs import Seen, View, seen, view_of
 from toftools.types import F32, DepthMap, Modulation, Phasors, Sensor
+from toftools.units import joint_ambiguity_m
 
 WIDEST = 6.0
 """Largest logarithm of a scale, as in training."""
@@ -64,15 +67,20 @@ def network(sensor: Sensor, *, model: str = "") -> Callable[[Phasors], DepthMap]
     # Amplitudes count relative to the frame alone, so electronics and noise do not matter.
     freqs = Modulation(sensor.modulation.freqs_hz[order])
     bare = Sensor(sensor.camera, freqs, emitters=sensor.emitters)
+    # That of the frequencies trained: slightly other ones may repeat only after a kilometre.
+    longest_m = (card.max_range_m or joint_ambiguity_m(np.array(card.freqs_hz))) / metre
     views: dict[tuple[int, ...], View] = {}
     answer = _from_phasors if card.input == "phasors" else _from_range
 
     def run(phasors: Phasors) -> DepthMap:
         shape = phasors.valid.shape
+        if phasors.values.shape[0] != len(order):
+            msg = f"phasors must have {len(order)} frequencies, got {phasors.values.shape[0]}"
+            raise ValueError(msg)
         if shape not in views:
             views.clear()
             camera = resized(sensor.camera, shape[1], shape[0])
-            views[shape] = view_of(replace(bare, camera=camera), metre, card.max_range_m / metre)
+            views[shape] = view_of(replace(bare, camera=camera), metre, longest_m)
         values = phasors.values[order]
         return answer(seen(Phasors(values, valid=phasors.valid), views[shape]), card, net, metre)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toftools.dataset.manifest import file_of, present
+from toftools.dataset.manifest import Entry, file_of, present
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.sensors import sensor
@@ -73,7 +73,7 @@ def read_frames(folder: Path, split: str, wanted_hz: Sequence[float]) -> list[Fr
             continue
         device = sensors.setdefault(entry["sensor"], sensor(entry["sensor"]))
         if all(_index(device, freq) is not None for freq in wanted_hz):
-            values, range_m = _arrays(folder, entry["id"])
+            values, range_m = _arrays(folder, entry)
             found.append(Frame(entry["id"], entry["group"], device, values, range_m))
     if not found:
         asked = ", ".join(f"{freq / 1e6:g}" for freq in wanted_hz)
@@ -82,12 +82,13 @@ def read_frames(folder: Path, split: str, wanted_hz: Sequence[float]) -> list[Fr
     return found
 
 
-def _arrays(folder: Path, name: str) -> tuple[C64, F32]:
-    """Phasors and range, from the quick copy if it is whole, else from the capture."""
-    quick = folder / "frames" / f"{name}.npy"
+def _arrays(folder: Path, entry: Entry) -> tuple[C64, F32]:
+    """Phasors and range, from the quick copy of this very file if it is whole, else from it."""
+    name, mark = entry["id"], str(entry.get("sha256", ""))[:12]
+    quick = folder / "frames" / f"{name}-{mark}.npy"
     try:
         both = np.load(quick, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError):
+    except (OSError, ValueError, EOFError):
         quick.parent.mkdir(exist_ok=True)
         both = _whole(read_capture(file_of(folder, name)), name)
         with atomic_path(quick) as path, path.open("wb") as file:
@@ -124,4 +125,8 @@ def indices(device: Sensor, freqs_hz: Sequence[float]) -> list[int]:
     list of int
         Indices.
     """
-    return [int(np.argmin(np.abs(device.modulation.freqs_hz - freq))) for freq in freqs_hz]
+    found = [_index(device, freq) for freq in freqs_hz]
+    if None in found:
+        msg = f"got a sensor of {device.modulation.freqs_hz} Hz, wanted {list(freqs_hz)}"
+        raise ValueError(msg)
+    return [index for index in found if index is not None]

@@ -183,5 +183,9 @@ def _restored(
     for name, array in arrays.items():
         if name.startswith("adam "):
             _, number, key = name.split(" ")
-            adam.state[moving[int(number)]][key] = torch.from_numpy(array)
+            moment = torch.from_numpy(array)
+            if moment.shape == moving[int(number)].shape and key != "step":
+                # On the parameter's device and in its order in memory.
+                moment = torch.zeros_like(moving[int(number)]).copy_(moment)
+            adam.state[moving[int(number)]][key] = moment
     return step, [json.loads(line) for line in text.splitlines()]

@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,8 @@ class TrainRecipe:
         Of weights, draws and noise.
     licence : str
         Of the weights.
+    data : str
+        Folder of the data set, relative to the recipe's file; empty where it is told otherwise.
     digest : str
         What names the recipe: its content.
     """
@@ -71,6 +73,7 @@ class TrainRecipe:
     max_range_m: float = 0.0
     seed: int = 0
     licence: str = "Apache-2.0"
+    data: str = ""
     digest: str = ""
 
 
@@ -111,7 +114,8 @@ def read_train_recipe(source: Path | str) -> TrainRecipe:
     except (OSError, ValueError) as error:
         msg = f"cannot read the training recipe {path}: {error}"
         raise ValueError(msg) from error
-    return _checked({"name": path.stem, **given}, digest(text))
+    recipe = _checked({"name": path.stem, **given}, digest(text))
+    return replace(recipe, data=str(path.parent / recipe.data)) if recipe.data else recipe
 
 
 def _checked(given: Mapping[str, Any], mark: str) -> TrainRecipe:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from toftools.bench.fingerprint import digest
+from toftools.correct._net_file import NORMALISATION
 from toftools.correct._net_inputs import channels
 from toftools.dataset.manifest import present
 from toftools.io.atomic import atomic_path
@@ -47,15 +48,24 @@ def run(
     ValueError
         If the folder belongs to another recipe, or the data set lacks what is needed.
     """
-    mark = {"recipe": recipe.digest, "name": recipe.name}
+    shown_by = digest(sorted(present(data)))
+    mark = {"recipe": recipe.digest, "data": shown_by, "input": dict(NORMALISATION)}
     path = work / "recipe.json"
-    if path.is_file() and json.loads(path.read_text(encoding="utf-8")) != mark:
-        msg = f"{work} holds the training of another recipe; give another --work, or delete it"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else mark
+    except ValueError:
+        found = None
+    if found != mark:
+        msg = (
+            f"{work} holds the training of another recipe, data set or version; give another "
+            "--work, or delete it"
+        )
         raise ValueError(msg)
     work.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(mark), encoding="utf-8")
+    with atomic_path(path) as target:
+        target.write_text(json.dumps(mark), encoding="utf-8")
     model = trained(recipe, data, work, told)
-    card = card_of(recipe, digest(sorted(present(data))))
+    card = card_of(recipe, shown_by)
     export(model, card, example(card, channels(len(recipe.freqs_hz))), out)
     if int8 is not None:
         quantised(out, shown(recipe, data, tuple(example(card, (1, 1)))), card, int8)

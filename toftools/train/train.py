@@ -63,7 +63,8 @@ def trained(
     lessons = Samples(read_frames(data, "train", wanted), recipe)
     told(f"{len(lessons.frames)} frames to learn from")
     check = _chosen(read_frames(data, "validation", wanted))
-    exam = [Samples(check, recipe).fixed(i, 1.0, CHECK_SNR) for i in range(len(check))]
+    usual = min(recipe.scales, key=lambda scale: abs(np.log(scale)))
+    exam = [Samples(check, recipe).fixed(i, usual, CHECK_SNR) for i in range(len(check))]
     model = network(recipe).to(device, memory_format=LAYOUT)
     if recipe.model == "deeptof2017":
         _teach_range(model, recipe, lessons, exam, folder, told)
