@@ -106,7 +106,7 @@ def albedo_bars(found, stem):
     names = [n for n in SHOWN if n in found] or list(found)
     groups = sorted({g for f in found.values() for g in f["groups"]})
     width = 0.8 / len(names)
-    with figure(stem, 1, 1, (9, 3.6)) as (_, axes):
+    with figure(stem, 1, 1, (11, 3.6)) as (_, axes):
         axis = axes[0, 0]
         for number, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
             heights = [100 * found[name]["groups"][g]["mae_m"] for g in groups]
@@ -116,7 +116,7 @@ def albedo_bars(found, stem):
         axis.set_ylabel("mean absolute error, cm")
         axis.set_title("Three unseen rooms in six sets of albedos", loc="left")
         axis.grid(alpha=0.3, axis="y")
-        axis.legend(frameon=False, fontsize=8)
+        axis.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def pareto(found, errors, stem):
