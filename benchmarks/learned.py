@@ -17,7 +17,6 @@ import learned_draw
 import learned_held_out
 import learned_speed
 import learned_steady
-import numpy as np
 from learned_frames import errors_of, figures
 
 from toftools.correct.network import WEIGHTS
@@ -46,11 +45,9 @@ def su(networks, log):
         }
         truth = capture.truth.range_m
         for label, depth in answers.items():
-            found.setdefault(label, {})[path.stem] = figures(errors_of(depth, truth, FAR_M))
+            found.setdefault(label, {})[path.stem] = figures(errors_of(depth.range_m, truth, FAR_M))
         for label, range_m in capture.reported.items():
-            with np.errstate(invalid="ignore"):
-                known = np.isfinite(truth) & (truth > 0.05) & (truth < FAR_M)
-            told = figures(np.abs(range_m.astype(float) - truth)[known])
+            told = figures(errors_of(range_m, truth, FAR_M))
             found.setdefault(f"{label}, as published", {})[path.stem] = told
     return found
 

@@ -5,7 +5,7 @@ from correction_draw import COLOURS, MARKERS, figure
 from learned_held_out import EDGES_M
 
 SHOWN = ("raw, 20 MHz", "fuchs2010, 20 MHz", "deeptof2017", "phasornet_20", "raw, 40 + 70 MHz",
-         "auto, 40 + 70 MHz", "phasornet_40_70")  # fmt: skip
+         "fuchs2010, 40 + 70 MHz", "auto, 40 + 70 MHz", "phasornet_40_70")  # fmt: skip
 
 
 def cm(value):

@@ -32,11 +32,11 @@ def at(capture, freqs_hz):
     return sensor, Phasors(whole.values[pick], sigma, whole.valid)
 
 
-def errors_of(depth, truth_m, longest_m):
+def errors_of(range_m, truth_m, longest_m):
     """Absolute errors of the pixels that have a truth within reach, m; NaN without an answer."""
     with np.errstate(invalid="ignore"):
         known = np.isfinite(truth_m) & (truth_m > 0.05) & (truth_m < longest_m)
-    return np.abs(depth.range_m.astype(np.float64) - truth_m)[known]
+    return np.abs(range_m.astype(np.float64) - truth_m)[known]
 
 
 def figures(errors_m):

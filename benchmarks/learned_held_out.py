@@ -5,6 +5,7 @@ import time
 import numpy as np
 from learned_frames import at, captures, errors_of, figures
 
+from toftools.correct._net_file import read_card
 from toftools.registry import CORRECTIONS, find
 from toftools.units import ambiguity_m, joint_ambiguity_m
 
@@ -14,25 +15,27 @@ EDGES_M = np.concatenate([[0], np.geomspace(1e-3, 10, 81)])
 """Of the histograms of absolute errors."""
 
 
-def methods(networks):
-    """Label, method and frequencies; networks of the folder where they are there."""
+PHYSICS = (
+    ("raw", "crt", (ONE, TWO)), ("semi_global", "semi_global", (TWO,)),
+    ("fuchs2010", "fuchs2010", (ONE, TWO)), ("auto", "auto", (ONE, TWO)),
+)  # fmt: skip
+
+
+def methods(networks, physics=None):
+    """Label, method and frequencies: physics, all or some of it, and the networks of a folder."""
     found = [
-        ("raw, 20 MHz", "crt", ONE),
-        ("fuchs2010, 20 MHz", "fuchs2010", ONE),
-        ("raw, 40 + 70 MHz", "crt", TWO),
-        ("semi_global, 40 + 70 MHz", "semi_global", TWO),
-        ("fuchs2010, 40 + 70 MHz", "fuchs2010", TWO),
-        ("auto, 40 + 70 MHz", "auto", TWO),
-    ]
+        (f"{label}, {' + '.join(f'{freq / 1e6:g}' for freq in freqs)} MHz", name, freqs)
+        for freqs in (ONE, TWO) for label, name, sets in PHYSICS
+        if freqs in sets and (physics is None or name in physics)
+    ]  # fmt: skip
     for path in sorted(networks.glob("*.onnx")):
-        freqs = TWO if "40_70" in path.stem else ONE
-        found.append((path.stem, f"network:model={path}", freqs))
+        found.append((path.stem, f"network:model={path}", read_card(path)[0].freqs_hz))
     return found
 
 
-def measure(folder, split, networks, log, key="family", families=None):
+def measure(folder, split, networks, log, key="family", families=None, physics=None):
     """Errors per method and group, and milliseconds per frame."""
-    asked, sums = methods(networks), {}
+    asked, sums = methods(networks, physics), {}
     built = {}
     for number, (entry, capture) in enumerate(captures(folder, split, families)):
         log(f"held out: {number + 1}, {entry['scene']}")
@@ -48,7 +51,7 @@ def measure(folder, split, networks, log, key="family", families=None):
             begin = time.perf_counter()
             depth = built[where](phasors)
             ms = 1e3 * (time.perf_counter() - begin)
-            error = errors_of(depth, capture.truth.range_m, float(longest))
+            error = errors_of(depth.range_m, capture.truth.range_m, float(longest))
             group = key(entry) if callable(key) else entry[key]
             sums.setdefault(label, {}).setdefault(group, []).append((error, ms))
     return {label: _told(groups) for label, groups in sums.items()}

@@ -26,8 +26,6 @@ from toftools.registry import CORRECTIONS
 STATISTICS = ("range", "gradient_h", "gradient_v", "cooccurrence", "haar_hv", "haar_hd")
 SHOWN = ("range", "gradient_h", "gradient_v")
 PIXEL_DEG = 0.25
-THESIS = {"range": (0.032, 0.129, 0.90), "gradient_h": (0.051, None, None)}
-"""Chi-squared, Jensen-Shannon, Pearson of the thesis's set against its 48,000 real images."""
 REAL = ("su2018_tintin_40_70MHz/im_pair_*.mat", "snapshot_lidar_mlx75027_60MHz/CVPRScene_phase0*",
         "azure_kinect_pyk4a/*.mkv", "adi_adtf3175/*depth_.bin", "ifm_o3r/*.data")  # fmt: skip
 FREQS = (40e6, 70e6)

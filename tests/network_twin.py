@@ -3,8 +3,8 @@
 import numpy as np
 
 from toftools.camera import rays
-from toftools.correct._net_coarse import RANGE_M, SHIFT_M
-from toftools.correct._net_inputs import MOST, RELATIVE_MAX
+from toftools.correct._net_coarse import MOST, RANGE_M, SHIFT_M
+from toftools.correct._net_inputs import RELATIVE_MAX
 from toftools.correct._scene import optics
 from toftools.units import range_to_phase
 

@@ -23,7 +23,7 @@ from toftools.correct._net_file import (
     to_text,
     wanted,
 )
-from toftools.correct._net_guide import guide_of, preferred
+from toftools.correct._net_guide import guide_of, prefer
 from toftools.correct._net_inputs import channels, seen, view_of
 from toftools.correct.network import network
 from toftools.registry import CORRECTIONS, find
@@ -148,8 +148,6 @@ def test_candidates_are_ordered_as_by_the_slow_twin():
     device = sensor("opt8241:width=50,height=33")
     rng = np.random.default_rng(3)
     values = rng.standard_normal((2, 33, 50)) + 1j * rng.standard_normal((2, 33, 50))
-    amplitude = np.abs(values).astype(np.float32)
-    unit = (values / amplitude).astype(np.complex64)
     lit = rng.random((33, 50)) < 0.9
     lit[:9, :9] = False
     candidates = rng.uniform(0, 5, (3, 33, 50)).astype(np.float32)
@@ -165,7 +163,8 @@ def test_candidates_are_ordered_as_by_the_slow_twin():
 
     guide = dataclasses.replace(guide, run=run)
     dim = np.ones((33, 50), np.float32)
-    got = preferred(candidates, unit, amplitude, lit, dim, guide)
+    got = candidates.copy()
+    prefer(got, values.astype(np.complex64), lit, dim, guide)
     cells, want = ordered(candidates, values, lit, guide, asked["range_m"])
     ratio = asked["cells"][:, asked["valid"]] / cells[:, asked["valid"]]
     assert np.allclose(ratio, ratio.flat[0].real, rtol=1e-4), "a common gain"
@@ -345,7 +344,7 @@ def test_networks_that_say_nothing_or_are_broken_inside(tmp_path):
         network(device, model=str(net(tmp_path / "net.onnx", word="")))
     with pytest.raises(ValueError, match="cannot read the network"):
         network(device, model=str(tmp_path / "none.onnx"))
-    with pytest.raises(ValueError, match=r"gave 3 channels, wanted one per candidate and 2|gave 3"):
+    with pytest.raises(ValueError, match="gave 3 channels, wanted one per candidate and 2"):
         network(device, model=str(net(tmp_path / "net.onnx", logits=(0.0,))))
     path = net(tmp_path / "net.onnx")
     model = onnx.load(str(path))

@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from toftools.correct._paths import aggregate
 from toftools.correct.crt import crt
-from toftools.correct.semi_global import aggregate, semi_global
+from toftools.correct.semi_global import semi_global
 from toftools.phasor import phasors_of
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic

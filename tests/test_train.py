@@ -19,6 +19,7 @@ from toftools.train.export import card_of, example, export, quantised
 from toftools.train.frames import read_frames
 from toftools.train.recipe import RECIPES, read_train_recipe
 from toftools.train.samples import Samples, mirrored, noisy
+from toftools.train.standard import StandardConv, folded
 from toftools.train.train import kept, network, trained
 from toftools.types import Phasors
 
@@ -108,6 +109,8 @@ def test_draws_follow_from_seed_and_step(data, tmp_path):
     for name in ("full", "coarse", "candidates", "truth", "known"):
         assert np.array_equal(getattr(one.drawn(5), name), getattr(two.drawn(5), name)), name
     assert not np.array_equal(one.drawn(5).full[:, 3], one.drawn(6).full[:, 3])
+    apart = one.drawn(5, "unlabelled")
+    assert not np.array_equal(one.drawn(5).full[:, 3], apart.full[:, 3])
     # The second run reads the quick copies, which hold the same.
     assert all(np.array_equal(a.values, b.values) and a.id == b.id for a, b in
                zip(frames, read_frames(data, "train", [40e6]), strict=True))  # fmt: skip
@@ -231,6 +234,48 @@ def test_ablations_leave_their_channels_out(tmp_path):
     assert torch.equal(model(*inputs), told)
     inputs[1][:, 3] = 7.0
     assert not torch.equal(model(*inputs), told)
+
+
+# Standardised convolutions
+
+
+def test_standardised_weights_keep_the_size_of_signals():
+    torch.manual_seed(0)
+    layer = StandardConv(40, 30)
+    weights = layer.standard().detach().numpy()
+    own = layer.weight.detach().numpy()
+    for filtered, given in zip(weights, own, strict=True):
+        want = 1.7128586 * (given - given.mean()) / (given.std() * np.sqrt(given.size))
+        assert np.allclose(filtered, want, rtol=1e-4, atol=1e-6)
+    # Normal in, ReLU, convolution, ReLU, convolution: the variance stays (borders aside).
+    x = torch.randn(8, 40, 40, 40)
+    with torch.no_grad():
+        for _ in range(4):
+            x = StandardConv(40, 40)(torch.relu(x))
+    assert float(x[:, :, 6:-6, 6:-6].var(dim=(0, 2, 3)).mean()) == pytest.approx(1, abs=0.35)
+
+
+def test_a_frame_is_answered_alone_as_in_a_batch(tmp_path):
+    plan = recipe(tmp_path, SMALL)
+    model = network(plan).train()
+    torch.nn.init.normal_(model.head.weight)
+    inputs = example(card_of(plan, ""), channels(2))
+    alone = model(*(torch.from_numpy(a) for a in inputs.values()))
+    beside = model(*(torch.from_numpy(np.concatenate([a, 9 + a])) for a in inputs.values()))
+    assert torch.allclose(beside[:1], alone, atol=1e-4)
+
+
+def test_folded_networks_are_plain_and_answer_the_same(tmp_path):
+    plan = recipe(tmp_path, SMALL)
+    model = network(plan).eval()
+    torch.nn.init.normal_(model.head.weight)
+    inputs = [torch.from_numpy(a) for a in example(card_of(plan, ""), channels(2)).values()]
+    with torch.no_grad():
+        told = model(*inputs)
+        assert any(isinstance(m, StandardConv) for m in model.modules())
+        again = folded(model)(*inputs)
+    assert not any(isinstance(m, StandardConv) for m in model.modules())
+    assert torch.allclose(told, again, atol=1e-4 * float(told.abs().max()))
 
 
 # Files

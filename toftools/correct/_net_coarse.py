@@ -11,7 +11,6 @@ amplitudes have no unit here, albedos are those of a frame whose median is `MIDD
 has seen the whole room in training makes up for that.
 """
 
-import warnings
 from dataclasses import dataclass, replace
 
 import cv2
@@ -27,18 +26,18 @@ from toftools.units import path_to_phase, range_to_phase
 
 COLUMNS = 20
 MIDDLE_ALBEDO = 0.5
+"""Albedo of the frame's middle, since amplitudes have no unit."""
 COARSE = 5
 """Channels besides two per frequency: normal (3), range, share of the cell that is known."""
 STEP = 4
 """Pixels of the image per pixel of the output."""
 MOST = 8.0
+"""Shifts and residuals count as no larger, in units of `SHIFT_M`."""
 RANGE_M, SHIFT_M = 4.0, 0.1
 """Units of range and of corrections, m."""
 LEAST_KNOWN = 0.25
 """Share of a cell's samples that must have a signal."""
 I64 = NDArray[np.int64]
-
-
 SAMPLES = 4
 """Rows and columns of pixels that a cell looks at."""
 
@@ -77,14 +76,38 @@ def coarse_optics(sensor: Sensor) -> Coarse:
         The coarse view.
     """
     height, width = sensor.camera.shape
-    columns = min(COLUMNS, width)
-    rows = max(min(round(columns * height / width), height, 4 * COLUMNS), 1)
+    rows, columns = grid(sensor.camera.shape, COLUMNS)
     small = optics(replace(sensor, camera=resized(sensor.camera, columns, rows), maps=None))
     flash = kernel_input(small.flash / max(float(small.flash.max()), 1e-30))
     return Coarse(
         replace(small, flash=flash), range_to_phase(1.0, small.freqs_hz),
         _samples(height, rows), _samples(width, columns),
     )  # fmt: skip
+
+
+def grid(shape: tuple[int, int], most: int) -> tuple[int, int]:
+    """Rows and columns of a grid of about square cells.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the image.
+    most : int
+        Largest number of columns.
+
+    Returns
+    -------
+    tuple of int
+        Rows and columns, each at most one per pixel.
+
+    Examples
+    --------
+    >>> grid((240, 320), 20), grid((4, 3), 20)
+    ((15, 20), (4, 3))
+    """
+    height, width = shape
+    columns = min(most, width)
+    return max(min(round(columns * height / width), height, 4 * most), 1), columns
 
 
 def _samples(pixels: int, cells: int) -> I64:
@@ -116,11 +139,8 @@ def coarse_light(range_m: F32, reflectance: F32, lit_px: Bool, view: Coarse, met
     pick = np.ix_(view.rows.ravel(), view.columns.ravel())
     share = _cells(lit_px[pick].astype(np.float32), view).mean(axis=-1)
     known = share >= LEAST_KNOWN
-    some = np.where(lit_px[pick], range_m[pick], np.float32(np.nan))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # cells without any range
-        middle = np.nanmedian(_cells(some, view), axis=-1)
-    middle = np.where(known, middle, np.float32(np.nan)).astype(np.float32)
+    some = np.where(lit_px[pick], range_m[pick], np.float32(np.inf))
+    middle = np.where(known, _median(_cells(some, view), share), np.float32(np.nan))
     seen = surface(view.optics, middle)
     albedo = MIDDLE_ALBEDO * np.exp(_cells(reflectance[pick], view).mean(axis=-1))
     rho = _relative_light(middle, albedo, known & seen.flat, seen, view)
@@ -134,6 +154,15 @@ def coarse_light(range_m: F32, reflectance: F32, lit_px: Bool, view: Coarse, met
     height, width = range_m.shape
     wide = cv2.resize(stacked, (-(-width // STEP), -(-height // STEP)), interpolation=1)
     return np.ascontiguousarray(np.moveaxis(wide.reshape(*wide.shape[:2], -1), -1, 0))
+
+
+def _median(samples: F32, share: F32) -> F32:
+    """Median of the finite samples of every cell; anything where there are none."""
+    count = np.rint(share * samples.shape[-1]).astype(np.int64)[..., None]
+    in_order = np.sort(samples, axis=-1)
+    low = np.take_along_axis(in_order, np.maximum(count - 1, 0) // 2, axis=-1)
+    high = np.take_along_axis(in_order, np.minimum(count // 2, samples.shape[-1] - 1), axis=-1)
+    return np.asarray((low + high)[..., 0] / 2, np.float32)
 
 
 def _relative_light(range_m: F32, albedo: F32, emits: Bool, seen: Surface, view: Coarse) -> C64:

@@ -72,8 +72,8 @@ def _onnxruntime(data: bytes) -> Engine:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads(), 1
     options.log_severity_level = 3
-    # Threads that spin after a frame take the cores from the kernels that prepare the next.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # Threads that spin after a frame would take the cores from the kernels that prepare the next.
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Mapping[str, F32]) -> F32:

@@ -17,7 +17,7 @@ from toftools.correct._net_coarse import COLUMNS, MIDDLE_ALBEDO, RANGE_M, SHIFT_
 from toftools.correct._net_guide import AGREES_M
 from toftools.correct._net_guide import COLUMNS as GUIDE_COLUMNS
 from toftools.correct._onnx_metadata import metadata
-from toftools.types import F64, Sensor
+from toftools.types import F64
 
 WEIGHTS = Path(__file__).parent / "weights"
 KEY = "toftools"
@@ -211,22 +211,26 @@ def fitted(card: Card, freqs_hz: F64) -> tuple[list[int], float] | None:
     return [int(i) for i in order], metre
 
 
-def suits(sensor: Sensor) -> bool:
-    """Whether the package has a network of phasors for a sensor.
+def shipped(freqs_hz: F64) -> Path | None:
+    """The network of phasors of the package for a sensor.
 
     Parameters
     ----------
-    sensor : Sensor
-        Its frequencies count.
+    freqs_hz : ndarray, (F,)
+        Frequencies of the sensor, Hz.
 
     Returns
     -------
-    bool
-        False without one.
+    Path
+        ONNX file.
+    None
+        If there is none for these frequencies.
     """
-    cards = (read_card(path)[0] for path in sorted(WEIGHTS.glob("*.onnx")))
-    freqs = sensor.modulation.freqs_hz
-    return any(card.input == "phasors" and fitted(card, freqs) is not None for card in cards)
+    for path in sorted(WEIGHTS.glob("*.onnx")):
+        card, _ = read_card(path)
+        if card.input == "phasors" and fitted(card, freqs_hz) is not None:
+            return path
+    return None
 
 
 def wanted(card: Card) -> str:

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from toftools.camera import resized
 from toftools.correct import kernel_input
+from toftools.correct._net_coarse import MIDDLE_ALBEDO, grid
 from toftools.correct.semi_global import semi_global
-from toftools.types import F32, Bool, DepthMap, Phasors, Sensor
+from toftools.types import C64, F32, Bool, DepthMap, Phasors, Sensor
 
 COLUMNS = 80
 AGREES_M = 0.3
 """Distance, in metres of the trained frequencies, up to which a candidate agrees with a cell."""
-MIDDLE_ALBEDO = 0.5
-"""Albedo of the frame's middle, since amplitudes have no unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +63,7 @@ def guide_of(sensor: Sensor, metre: float, max_range_m: float) -> Guide:
         For frames of the camera's shape.
     """
     height, width = sensor.camera.shape
-    columns = min(COLUMNS, width)
-    rows = max(min(round(columns * height / width), height, 4 * COLUMNS), 1)
+    rows, columns = grid(sensor.camera.shape, COLUMNS)
     small = replace(sensor, camera=resized(sensor.camera, columns, rows), maps=None)
     run = semi_global(small, max_range_m=max_range_m)
     return Guide(run, _edges(rows, height), _edges(columns, width), AGREES_M / metre)
@@ -76,90 +74,73 @@ def _edges(cells: int, pixels: int) -> NDArray[np.int64]:
     return np.arange(cells + 1, dtype=np.int64) * pixels // cells
 
 
-def preferred(
-    candidates_m: F32,
-    unit: NDArray[np.complex64],
-    amplitude: F32,
-    lit: Bool,
-    dim: F32,
-    guide: Guide,
-) -> F32:
-    """Candidates with the one first that the neighbourhood prefers.
+def prefer(candidates_m: F32, values: C64, lit: Bool, dim: F32, guide: Guide) -> None:
+    """Put the candidate first that the neighbourhood prefers; the others keep their order.
 
     Parameters
     ----------
     candidates_m : ndarray, (K, H, W)
-        Ranges, likeliest first, m.
-    unit : ndarray, (F, H, W)
-        Phasors of amplitude 1, complex64.
-    amplitude : ndarray, (F, H, W)
-        Their amplitudes, in any unit.
+        Ranges, likeliest first, m; reordered in place.
+    values : ndarray, (F, H, W)
+        Phasors, in any unit, complex64.
     lit : ndarray, (H, W), bool
         Pixels with a signal.
     dim : ndarray, (H, W)
         One over the amplitude of a white surface facing the camera at 1 m.
     guide : Guide
         Of the sensor.
-
-    Returns
-    -------
-    ndarray, (K, H, W), float32
-        The others keep their order.
     """
     thin = (slice(None, None, 4), slice(None, None, 4))
     if not lit[thin].any():
         thin = (slice(None), slice(None))
-    bright = (amplitude[0][thin] * candidates_m[0][thin] ** 2 * dim[thin])[lit[thin]]
+    bright = (np.abs(values[0][thin]) * candidates_m[0][thin] ** 2 * dim[thin])[lit[thin]]
     middle = float(np.median(bright)) if bright.size else 1.0
-    shape = (unit.shape[0], guide.rows.size - 1, guide.columns.size - 1)
+    shape = (values.shape[0], guide.rows.size - 1, guide.columns.size - 1)
     cells = np.empty(shape, np.complex64)
     gain = np.float32(MIDDLE_ALBEDO / max(middle, 1e-20))
-    frame = kernel_input(unit), kernel_input(amplitude), kernel_input(lit)
-    _means(*frame, guide.rows, guide.columns, gain, cells)
+    _means(kernel_input(values), kernel_input(lit), guide.rows, guide.columns, gain, cells)
     known = np.abs(cells).min(axis=0) > 0
     around = guide.run(Phasors(cells, valid=known)).range_m
-    out = np.empty_like(candidates_m)
-    _ordered(kernel_input(candidates_m), kernel_input(around), guide.rows, guide.columns,
-             np.float32(guide.agrees_m), out)  # fmt: skip
-    return out
+    _order(candidates_m, kernel_input(around), guide.rows, guide.columns,
+           np.float32(guide.agrees_m))  # fmt: skip
 
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _means(
-    unit: NDArray[np.complex64], amplitude: F32, lit: Bool, rows: NDArray[np.int64],
-    columns: NDArray[np.int64], gain: np.float32, out: NDArray[np.complex64],
+    values: C64, lit: Bool, rows: NDArray[np.int64], columns: NDArray[np.int64], gain: np.float32,
+    out: C64,
 ) -> None:  # fmt: skip
     """Mean phasor of every cell; zero without any pixel that is lit."""
     for r in prange(rows.size - 1):
         for c in range(columns.size - 1):
-            for f in range(unit.shape[0]):
+            for f in range(values.shape[0]):
                 total, count = np.complex64(0), 0
                 for v in range(rows[r], rows[r + 1]):
                     for u in range(columns[c], columns[c + 1]):
                         if lit[v, u]:
-                            total += unit[f, v, u] * amplitude[f, v, u]
+                            total += values[f, v, u]
                             count += 1
                 out[f, r, c] = total * gain / np.float32(max(count, 1))
 
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _ordered(
+def _order(
     candidates: F32, around: F32, rows: NDArray[np.int64], columns: NDArray[np.int64],
-    agrees: np.float32, out: F32,
+    agrees: np.float32,
 ) -> None:  # fmt: skip
     """Put the first candidate in front that agrees with the cell or one of the four beside it."""
-    n_cand = candidates.shape[0]
     for r in prange(rows.size - 1):
-        for c in range(columns.size - 1):
-            for v in range(rows[r], rows[r + 1]):
+        for v in range(rows[r], rows[r + 1]):
+            for c in range(columns.size - 1):
+                own = around[r, c]
                 for u in range(columns[c], columns[c + 1]):
+                    if abs(candidates[0, v, u] - own) < agrees:
+                        continue
                     chosen = _chosen(candidates[:, v, u], around, r, c, agrees)
-                    out[0, v, u] = candidates[chosen, v, u]
-                    at = 1
-                    for k in range(n_cand):
-                        if k != chosen:
-                            out[at, v, u] = candidates[k, v, u]
-                            at += 1
+                    first = candidates[chosen, v, u]
+                    for k in range(chosen, 0, -1):
+                        candidates[k, v, u] = candidates[k - 1, v, u]
+                    candidates[0, v, u] = first
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types

@@ -13,22 +13,19 @@ its candidates do: none is near the truth when noise is a quarter turn.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 
-from toftools._turns import FAST, turns
 from toftools.camera import rays
 from toftools.correct import kernel_input
 from toftools.correct._net_coarse import (
     COARSE,
-    RANGE_M,
-    SHIFT_M,
     Coarse,
     coarse_light,
     coarse_optics,
 )
-from toftools.correct._net_guide import Guide, guide_of, preferred
+from toftools.correct._net_guide import Guide, guide_of, prefer
+from toftools.correct._net_pixels import describe, propose
 from toftools.correct._scene import flash_of
-from toftools.correct._wraps import Plan, plan, search
+from toftools.correct._wraps import Plan, plan
 from toftools.types import F32, Bool, Phasors, Sensor
 from toftools.units import TWO_PI, range_to_phase
 
@@ -36,8 +33,6 @@ CANDIDATES = 3
 """Ranges that a network of several frequencies may choose from."""
 RELATIVE_MAX = 4.0
 """Largest logarithm of a relative reflectance."""
-MOST = np.float32(8.0)
-"""Residuals count as no larger, in units of `SHIFT_M`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,28 +180,44 @@ def seen(phasors: Phasors, view: View) -> Seen:
         Network input.
     """
     n_freqs, height, width = phasors.values.shape
-    # Unit phasors: cameras tell amplitudes per frequency or not, and the search must not differ.
-    amplitude = np.abs(phasors.values)
-    lit = phasors.valid & view.seen_px & (amplitude > 0).all(axis=0)
-    amplitude = np.where(lit, amplitude, np.float32(1))
-    unit = np.asarray(np.where(lit, phasors.values, np.complex64(1)) / amplitude, np.complex64)
-    found = search(Phasors(unit), view.walk, top=n_candidates(n_freqs))
-    candidates = np.where(np.isfinite(found.range_m), found.range_m, found.range_m[0])
-    if view.guide is not None:
-        candidates = preferred(candidates, unit, amplitude, lit, view.dim, view.guide)
+    cycles, bright, lit, candidates = _candidates(phasors, view)
     full = np.empty((channels(n_freqs)[0], height, width), np.float32)
-    flat = full.reshape(full.shape[0], -1)
-    _describe(
-        kernel_input(unit).reshape(n_freqs, -1),
-        kernel_input(amplitude).reshape(n_freqs, -1),
-        kernel_input(candidates).reshape(candidates.shape[0], -1),
-        kernel_input(lit).reshape(-1),
-        view.turns_per_m, view.rays.reshape(2, -1), view.dim.reshape(-1),
-        np.float32(view.metre), flat,
-    )  # fmt: skip
+    describe(
+        cycles, bright, lit, candidates, view.turns_per_m, view.rays, view.dim, view.metre, full
+    )
     _relative(full[3], lit)
     coarse = coarse_light(candidates[0], full[3], lit, view.coarse, view.metre)
     return Seen(full, coarse, candidates, lit, view.walk.max_range_m)
+
+
+def ranges(phasors: Phasors, view: View) -> tuple[F32, Bool]:
+    """What a network of the kind `range` sees of a frame.
+
+    Parameters
+    ----------
+    phasors : Phasors
+        Values (F, H, W); amplitudes in any unit.
+    view : View
+        Of its sensor, of the same shape.
+
+    Returns
+    -------
+    range_m : ndarray, (H, W)
+        Likeliest range, m.
+    valid : ndarray, (H, W), bool
+        Pixels with a signal.
+    """
+    _, _, lit, candidates = _candidates(phasors, view)
+    return candidates[0], lit
+
+
+def _candidates(phasors: Phasors, view: View) -> tuple[F32, F32, Bool, F32]:
+    """Phases, mean amplitudes, pixels with a signal, ranges."""
+    top = n_candidates(phasors.values.shape[0])
+    found = propose(phasors.values, phasors.valid & view.seen_px, view.walk, top)
+    if view.guide is not None:
+        prefer(found[3], phasors.values, found[2], view.dim, view.guide)
+    return found
 
 
 def _relative(reflectance: F32, lit: Bool) -> None:
@@ -218,46 +229,3 @@ def _relative(reflectance: F32, lit: Bool) -> None:
     reflectance -= middle
     np.clip(reflectance, -RELATIVE_MAX, RELATIVE_MAX, out=reflectance)
     reflectance *= lit
-
-
-@njit(parallel=True, cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
-def _describe(
-    unit: F32, amplitude: F32, candidates: F32, lit: Bool, turns_per_m: F32, way: F32, dim: F32,
-    metre: np.float32, out: F32,
-) -> None:  # fmt: skip
-    """Fill the channels at full resolution.
-
-    Range, ray x and y, log reflectance, lit; then, of several frequencies, their residuals at the
-    first candidate, how badly each candidate explains the phases, and how far the others lie.
-    """
-    n_freqs, n_cand = unit.shape[0], candidates.shape[0]
-    for p in prange(unit.shape[1]):
-        if not lit[p]:
-            out[:, p] = 0
-            out[1, p], out[2, p] = way[0, p], way[1, p]
-            continue
-        first = candidates[0, p]
-        mean = np.float32(0)
-        for f in range(n_freqs):
-            mean += amplitude[f, p]
-        bright = mean / np.float32(n_freqs) * max(first * first, np.float32(1e-4)) * dim[p]
-        out[0, p] = first * metre / np.float32(RANGE_M)
-        out[1, p], out[2, p] = way[0, p], way[1, p]
-        out[3, p] = np.log(max(bright, np.float32(1e-20)))
-        out[4, p] = 1
-        if n_freqs == 1:
-            continue
-        for c in range(n_cand):
-            misfit = np.float32(0)
-            for f in range(n_freqs):
-                off = turns(unit[f, p].real, unit[f, p].imag) - turns_per_m[f] * candidates[c, p]
-                off -= np.rint(off)
-                misfit += off * off
-                if c == 0:
-                    shift = off / turns_per_m[f] * metre / np.float32(SHIFT_M)
-                    out[5 + f, p] = min(max(shift, -MOST), MOST)
-            misfit = np.sqrt(misfit / np.float32(n_freqs)) * np.float32(8)
-            out[5 + n_freqs + c, p] = misfit
-            if c > 0:
-                away = (candidates[c, p] - first) * metre / np.float32(RANGE_M)
-                out[5 + n_freqs + n_cand - 1 + c, p] = away

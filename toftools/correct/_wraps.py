@@ -229,7 +229,7 @@ def _weigh(
 
 
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
-def _walk(
+def walk_step(
     cycles: F32, weight: F32, total: F32, U: F32, anchor: int, wrap: np.float32,
     longest: np.float32, n: int, s1: F32, s2: F32, range_m: F32, cost: F32,
 ) -> None:  # fmt: skip
@@ -273,13 +273,15 @@ def _search(
         cost[:, lo : lo + n] = np.inf
         for wrap in range(first, last + 1):
             step = np.float32(wrap)
-            _walk(cycles, weight, total, U, anchor, step, longest, n, s1, s2, new_range, new_cost)
+            walk_step(
+                cycles, weight, total, U, anchor, step, longest, n, s1, s2, new_range, new_cost
+            )
             for t in range(top):
-                _sink(new_range, new_cost, range_m[t, lo : lo + n], cost[t, lo : lo + n])
+                sink(new_range, new_cost, range_m[t, lo : lo + n], cost[t, lo : lo + n])
 
 
 @njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
-def _sink(new_range: F32, new_cost: F32, range_m: F32, cost: F32) -> None:
+def sink(new_range: F32, new_cost: F32, range_m: F32, cost: F32) -> None:
     """Keep the cheaper of a new and an old candidate, hand the dearer one down."""
     for j in range(cost.size):
         better = new_cost[j] < cost[j]

@@ -30,7 +30,7 @@ import numpy as np
 from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
 from toftools.correct._choice import BOUNCED, LEARNED, MODELS, ONE, TWO, Choice, merged, spread_of
 from toftools.correct._evidence import Explained, explained, explains_more, noise_of, pooled
-from toftools.correct._net_file import suits
+from toftools.correct._net_file import shipped
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
@@ -216,7 +216,7 @@ def _taught(
     sensor: Sensor, learned: str, max_range_m: float
 ) -> Callable[[Phasors], DepthMap] | None:
     """The learned method, whose answers beyond the limit are none; None where there is none."""
-    if learned == "none" or (not learned and not suits(sensor)):
+    if learned == "none" or (not learned and shipped(sensor.modulation.freqs_hz) is None):
         return None
     run = find(CORRECTIONS, learned or "network").build(sensor)
     n_freqs = sensor.modulation.n_freqs

@@ -18,16 +18,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
 
 from toftools.camera import resized
-from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
+from toftools.correct import INVALID, OK, kernel_input, refuse_emitter_offset, warm_up
 from toftools.correct._net_coarse import SHIFT_M, STEP
 from toftools.correct._net_engine import Engine, engine, tiled
-from toftools.correct._net_file import WEIGHTS, Card, as_mapping, fitted, read_card, wanted
-from toftools.correct._net_inputs import Seen, View, seen, view_of
-from toftools.types import F32, DepthMap, Modulation, Phasors, Sensor
+from toftools.correct._net_file import WEIGHTS, Card, as_mapping, fitted, read_card, shipped, wanted
+from toftools.correct._net_inputs import View, ranges, seen, view_of
+from toftools.types import F32, Bool, DepthMap, Modulation, Phasors, Sensor
 from toftools.units import joint_ambiguity_m
 
+U8 = NDArray[np.uint8]
 WIDEST = 6.0
 """Largest logarithm of a scale, as in training."""
 
@@ -70,6 +73,7 @@ def network(sensor: Sensor, *, model: str = "") -> Callable[[Phasors], DepthMap]
     # That of the frequencies trained: slightly other ones may repeat only after a kilometre.
     longest_m = (card.max_range_m or joint_ambiguity_m(np.array(card.freqs_hz))) / metre
     views: dict[tuple[int, ...], View] = {}
+    in_order = order == sorted(order)
     answer = _from_phasors if card.input == "phasors" else _from_range
 
     def run(phasors: Phasors) -> DepthMap:
@@ -81,8 +85,8 @@ def network(sensor: Sensor, *, model: str = "") -> Callable[[Phasors], DepthMap]
             views.clear()
             camera = resized(sensor.camera, shape[1], shape[0])
             views[shape] = view_of(replace(bare, camera=camera), metre, longest_m)
-        values = phasors.values[order]
-        return answer(seen(Phasors(values, valid=phasors.valid), views[shape]), card, net, metre)
+        frame = phasors if in_order else Phasors(phasors.values[order], valid=phasors.valid)
+        return answer(frame, views[shape], card, net)
 
     warm_up(run, len(order))
     return run
@@ -92,22 +96,23 @@ def _chosen(sensor: Sensor, model: str) -> tuple[Card, Engine, list[int], float]
     """The network that suits a sensor, where its frequencies stand, and their factor."""
     freqs = sensor.modulation.freqs_hz
     own = WEIGHTS / f"{model}.onnx"
-    named = own if own.is_file() else Path(model)
-    files = [named] if model else sorted(WEIGHTS.glob("*.onnx"))
-    cards = [(path, *read_card(path)) for path in files]
-    for path, card, data in cards:
+    path = shipped(freqs) if not model else own if own.is_file() else Path(model)
+    if path is not None:
+        card, data = read_card(path)
         suits = fitted(card, freqs)
-        if suits is not None and (model or card.input == "phasors"):
+        if suits is not None:
             return card, engine(data, str(path)), *suits
-    known = "; ".join(wanted(card) for _, card, _ in cards) or "none"
+    cards = [read_card(p)[0] for p in ([path] if path else sorted(WEIGHTS.glob("*.onnx")))]
+    known = "; ".join(wanted(card) for card in cards) or "none"
     asked = ", ".join(f"{freq / 1e6:g}" for freq in freqs)
     whose = f"the network {model} was" if model else "the networks of this package were"
     msg = f"got frequencies of {asked} MHz, {whose} trained for: {known}; train one for yours"
     raise ValueError(msg)
 
 
-def _from_phasors(looked: Seen, card: Card, net: Engine, metre: float) -> DepthMap:
+def _from_phasors(phasors: Phasors, view: View, card: Card, net: Engine) -> DepthMap:
     """Candidate, shift and scale."""
+    looked = seen(phasors, view)
     inputs = {"full": looked.full, "coarse": looked.coarse}
     out = tiled(net, inputs, {"full": 1, "coarse": STEP}, card.multiple)
     if out.shape[0] != looked.candidates_m.shape[0] + 1:
@@ -115,44 +120,64 @@ def _from_phasors(looked: Seen, card: Card, net: Engine, metre: float) -> DepthM
             f"the network {card.name} gave {out.shape[0]} channels, wanted one per candidate and 2"
         )
         raise ValueError(msg)
-    unit = np.float32(SHIFT_M / metre)
-    shift_m = out[0] * unit
-    which = np.zeros(out.shape[1:], np.uint8)
-    best = np.zeros(out.shape[1:], np.float32)
-    range_m = looked.candidates_m[0].copy()
-    for number, logit in enumerate(out[2:], start=1):
-        better = logit > best
-        which[better], best[better] = number, logit[better]
-        range_m[better] = looked.candidates_m[number][better]
-    # Standard deviation of a Laplace distribution of that scale.
-    sigma_m = np.sqrt(np.float32(2)) * unit * np.exp(np.clip(out[1], -WIDEST, WIDEST))
-    return _answer(
-        range_m + shift_m, sigma_m, looked, card, {"candidate": which, "shift_m": shift_m}
-    )
-
-
-def _from_range(looked: Seen, card: Card, net: Engine, metre: float) -> DepthMap:
-    """A range from a range."""
-    first = looked.candidates_m[:1]
-    scaled = np.where(looked.valid, first * np.float32(metre), 0).astype(np.float32)
-    range_m = tiled(net, {"range_m": scaled}, {"range_m": 1}, card.multiple)[0] / np.float32(metre)
-    return _answer(range_m, None, looked, card, {"shift_m": range_m - first[0]})
-
-
-def _answer(
-    range_m: F32, sigma_m: F32 | None, looked: Seen, card: Card, info: dict[str, Any]
-) -> DepthMap:
-    """Negative ranges and invalid pixels taken care of."""
-    good = looked.valid & np.isfinite(range_m)
-    nothing = np.float32(np.nan)
-    sigma_m = None if sigma_m is None else np.where(good, sigma_m, nothing)
+    shape = looked.valid.shape
+    range_m, sigma_m, shift_m = (np.empty(shape, np.float32) for _ in range(3))
+    which, good = np.empty(shape, np.uint8), np.empty(shape, np.bool_)
+    _answer(
+        kernel_input(out), kernel_input(looked.candidates_m), kernel_input(looked.valid),
+        np.float32(SHIFT_M / view.metre), np.float32(looked.longest_m), range_m, sigma_m, shift_m,
+        which, good,
+    )  # fmt: skip
+    with np.errstate(divide="ignore"):
+        confidence = np.where(good, 1 / sigma_m, np.float32(0))
     return DepthMap(
-        range_m=np.where(good, np.clip(range_m, 0, looked.longest_m), nothing),
-        sigma_m=sigma_m,
-        confidence=None if sigma_m is None else np.where(good, 1 / sigma_m, 0),
-        info={
-            "status": np.where(good, np.uint8(OK), np.uint8(INVALID)),
-            "network": as_mapping(card),
-            **info,
-        },
+        range_m,
+        sigma_m,
+        confidence,
+        info={**_told(good, card), "candidate": which, "shift_m": shift_m},
     )
+
+
+@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _answer(
+    out: F32, candidates: F32, valid: Bool, unit: np.float32, longest: np.float32,
+    range_m: F32, sigma_m: F32, shift_m: F32, which: U8, good: Bool,
+) -> None:  # fmt: skip
+    """Read the network's output: the first candidate has a logit of zero."""
+    root2 = np.float32(np.sqrt(2))
+    for v in prange(valid.shape[0]):
+        for u in range(valid.shape[1]):
+            chosen, best = 0, np.float32(0)
+            for c in range(1, candidates.shape[0]):
+                if out[1 + c, v, u] > best:
+                    chosen, best = c, out[1 + c, v, u]
+            which[v, u] = chosen
+            shift_m[v, u] = out[0, v, u] * unit
+            found = candidates[chosen, v, u] + shift_m[v, u]
+            good[v, u] = valid[v, u] and np.isfinite(found)
+            range_m[v, u], sigma_m[v, u] = np.nan, np.nan
+            if good[v, u]:
+                range_m[v, u] = min(max(found, np.float32(0)), longest)
+                scale = min(max(out[1, v, u], np.float32(-WIDEST)), np.float32(WIDEST))
+                # Standard deviation of a Laplace distribution of that scale.
+                sigma_m[v, u] = root2 * unit * np.exp(scale)
+
+
+def _from_range(phasors: Phasors, view: View, card: Card, net: Engine) -> DepthMap:
+    """A range from a range."""
+    first, valid = ranges(phasors, view)
+    metre = np.float32(view.metre)
+    scaled = np.where(valid, first * metre, np.float32(0))[None]
+    range_m = tiled(net, {"range_m": scaled}, {"range_m": 1}, card.multiple)[0] / metre
+    good = valid & np.isfinite(range_m)
+    kept = np.clip(range_m, 0, np.float32(view.walk.max_range_m))
+    info = {**_told(good, card), "shift_m": range_m - first}
+    return DepthMap(np.where(good, kept, np.float32(np.nan)), info=info)
+
+
+def _told(good: Bool, card: Card) -> dict[str, Any]:
+    """Status, and whose answer it is."""
+    return {
+        "status": np.where(good, np.uint8(OK), np.uint8(INVALID)),
+        "network": as_mapping(card),
+    }

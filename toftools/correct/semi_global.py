@@ -24,11 +24,13 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
-from toftools._turns import FAST, turns
+from toftools._turns import turns
 from toftools.correct import INVALID, OK, kernel_input, refuse_emitter_offset, warm_up
+from toftools.correct._paths import DEAREST, aggregate
 from toftools.correct._scene import optics
-from toftools.correct._wraps import Candidates, plan, search
+from toftools.correct._wraps import BLOCK, Candidates, plan, search
 from toftools.types import C64, F32, Bool, DepthMap, Phasors, Sensor
 from toftools.units import TWO_PI, range_to_phase
 
@@ -40,9 +42,6 @@ LONE_CHI2, LONE_RAD2 = (6.0, 30.0), (4e-4, 1e-2)
 second: chi^2, or rad^2 where the noise is unknown."""
 LEAST_ERROR_RAD = np.float32(0.15)
 """Model error where the residuals are not those of multipath: calibration, mixed pixels."""
-DEAREST = np.float32(20.0)
-"""No hypothesis costs more: a whole neighbourhood can overrule any pixel."""
-FAR_M = np.float32(1e6)
 MOST_SAMPLES = 4096
 """Pixels for a statistic of the frame."""
 MOST_AGAINST = 0.65
@@ -112,11 +111,10 @@ def semi_global(
             cost.reshape(HYPOTHESES, -1),
         )  # fmt: skip
         total = aggregate(found.range_m, cost, kernel_input(valid), jump)
-        order = np.sort(total, axis=0)
-        best = total.argmin(axis=0)[None]
-        chosen, residual = (
-            np.take_along_axis(a, best, axis=0)[0] for a in (found.range_m, found.cost)
-        )
+        best = np.empty(valid.size, np.uint8)
+        picked = np.empty((3, valid.size), np.float32)
+        _take(total.reshape(HYPOTHESES, -1), *flat, best, *picked)
+        chosen, residual, margin = picked.reshape(3, *valid.shape)
         sigma_m = None
         if known:
             with np.errstate(divide="ignore"):
@@ -124,10 +122,10 @@ def semi_global(
         return DepthMap(
             range_m=np.where(valid, chosen, np.float32(np.nan)),
             sigma_m=sigma_m,
-            confidence=np.where(valid, order[1] - order[0], np.float32(0)),
+            confidence=np.where(valid, margin, np.float32(0)),
             info={
                 "status": np.where(valid, np.uint8(OK), np.uint8(INVALID)),
-                "changed": valid & (best[0] > 0),
+                "changed": valid & (best.reshape(valid.shape) > 0),
                 "residual": residual,
             },
         )
@@ -164,14 +162,43 @@ def _model_errors(values: C64, found: Candidates, valid: Bool, k: F32, widest: f
     """
     some = valid.reshape(-1) & np.isfinite(found.range_m[0]).reshape(-1)
     pixels = np.flatnonzero(some)[:: max(int(some.sum()) // MOST_SAMPLES, 1)]
-    phase = np.angle(values[:, pixels]) - k[:, None] * found.range_m[0].reshape(-1)[pixels]
-    off = phase - TWO_PI * np.rint(phase / TWO_PI)
-    against = (off / k[:, None] * (k - k.mean())[:, None]).sum(axis=0) > 0
+    off = _residuals(values, found.range_m[0].reshape(-1), pixels, k / np.float32(TWO_PI))
+    against = ((k - k.mean()) / k) @ off > 0
     error = LEAST_ERROR_RAD
     if against.any():
-        error = max(error, np.float32(np.sqrt(np.percentile(off[:, against] ** 2, 80))))
+        typical = TWO_PI * np.percentile(np.abs(off[:, against]), 80)
+        error = max(error, np.float32(typical))
     wide = widest if pixels.size and against.mean() < MOST_AGAINST else 0.0
     return np.array([error, max(wide, error)], np.float32)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _residuals(values: C64, range_m: F32, pixels: NDArray[np.int64], per_m: F32) -> F32:
+    """Phases less those of the ranges, (F, pixels), turns."""
+    off = np.empty((per_m.size, pixels.size), np.float32)
+    for f in range(per_m.size):
+        for i in range(pixels.size):
+            z = values[f, pixels[i]]
+            away = turns(z.real, z.imag) - per_m[f] * range_m[pixels[i]]
+            off[f, i] = away - np.rint(away)
+    return off
+
+
+@njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
+def _take(
+    total: F32, range_m: F32, cost: F32, best: NDArray[np.uint8], chosen: F32, residual: F32,
+    margin: F32,
+) -> None:  # fmt: skip
+    """The cheapest hypothesis of every pixel, and how much dearer the next one is."""
+    for p in prange(best.size):
+        first, least, second = 0, total[0, p], np.float32(np.inf)
+        for t in range(1, total.shape[0]):
+            if total[t, p] < least:
+                first, least, second = t, total[t, p], least
+            elif total[t, p] < second:
+                second = total[t, p]
+        best[p], chosen[p], residual[p] = first, range_m[first, p], cost[first, p]
+        margin[p] = second - least
 
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
@@ -180,117 +207,29 @@ def _price(
     known: bool, cost: F32,
 ) -> None:  # fmt: skip
     """Cost of every hypothesis above that of the pixel's best."""
-    mean = k.mean()
-    for p in prange(values.shape[1]):
-        least = np.float32(np.inf)
+    noise = np.float32(1.0) if known else np.float32(0.0)
+    # Turns per metre, and the weight of a residual in turns for how residuals lean.
+    per_m = k / np.float32(TWO_PI)
+    lever = (k - k.mean()) / k
+    for block in prange((values.shape[1] + BLOCK - 1) // BLOCK):
         cycles = np.empty(k.size, np.float32)
-        for f in range(k.size):
-            cycles[f] = turns(values[f, p].real, values[f, p].imag)
-        for t in range(range_m.shape[0]):
-            if not chi2[t, p] < np.inf:
-                cost[t, p] = np.inf
-                continue
-            lean = np.float32(0.0)  # negative: the lower the frequency, the longer its range
+        for p in range(block * BLOCK, min((block + 1) * BLOCK, values.shape[1])):
+            least = np.float32(np.inf)
             for f in range(k.size):
-                off = cycles[f] - k[f] / TWO_PI * range_m[t, p]
-                lean += (off - np.rint(off)) / k[f] * (k[f] - mean)
-            noise = np.float32(1.0) if known else np.float32(0.0)
-            misfit = chi2[t, p] / max(noise + error[0] ** 2 * snr2[p], np.float32(1e-30))
-            if lean < 0:
-                misfit = chi2[t, p] / max(noise + error[1] ** 2 * snr2[p], np.float32(1e-30))
-            bright = max(white[p] * range_m[t, p] ** 2 - WHITE, np.float32(0.0)) / WHITE_SPREAD
-            cost[t, p] = np.float32(0.5) * (misfit + bright * bright)
-            least = min(least, cost[t, p])
-        for t in range(range_m.shape[0]):
-            cost[t, p] = min(cost[t, p] - least, DEAREST)
-
-
-def aggregate(range_m: F32, cost: F32, valid: Bool, jump: float) -> F32:
-    """Costs summed over straight paths through the image.
-
-    Parameters
-    ----------
-    range_m, cost : ndarray, (T, H, W)
-        Hypotheses, m, and their own costs.
-    valid : ndarray, (H, W), bool
-        Other pixels take no part.
-    jump : float
-        Cost of a step of 1 m or more.
-
-    Returns
-    -------
-    ndarray, (T, H, W)
-        ``sum_r L_r``, L_r the least cost of a path that comes along r and ends in the hypothesis.
-    """
-    with np.errstate(invalid="ignore"):
-        ranges = np.where(np.isfinite(range_m), range_m, FAR_M).astype(np.float32)
-    own = np.where(valid, cost, np.float32(0))
-    total = np.zeros_like(own)
-    # Rows first, and pixels of a row together: columns are the rows of the transposed image.
-    for axes, ways in (((1, 0, 2), ((1, 0), (1, 1), (1, -1))), ((2, 0, 1), ((1, 0),))):
-        # Copies, always: a read-only view of one pixel would be another flavour to the compiler.
-        rows, costs = (a.transpose(axes).copy(order="C") for a in (ranges, own))
-        mask = (valid if axes[0] == 1 else valid.T).copy(order="C")
-        summed = np.zeros_like(costs)
-        for dy, dx in ways:
-            for sign in (dy, -dy):
-                _sweep(rows, costs, mask, summed, sign, dx, np.float32(jump))
-        total += summed.transpose(np.argsort(axes))
-    return total
-
-
-@njit(cache=True, fastmath=FAST)  # type: ignore[untyped-decorator]  # numba has no types
-def _extend(
-    here: F32, own: F32, there: F32, before: F32, jump: np.float32, best: F32, out: F32
-) -> None:
-    """Equation 13 for a row: own costs plus the cheapest way from the row before."""
-    n = own.shape[0]
-    base = before[0].copy()
-    for s in range(1, n):
-        for x in range(base.size):
-            base[x] = min(base[x], before[s, x])
-    for t in range(n):
-        best[:] = DEAREST * jump
-        for s in range(n):
-            for x in range(base.size):
-                step = min(abs(here[t, x] - there[s, x]), np.float32(1.0))
-                best[x] = min(best[x], before[s, x] - base[x] + jump * step)
-        for x in range(base.size):
-            out[t, x] = own[t, x] + best[x]
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _sweep(
-    range_m: F32, own: F32, valid: Bool, total: F32, dy: int, dx: int, jump: np.float32
-) -> None:
-    """Add the costs along one direction, row by row; invalid pixels are stepped over."""
-    height, n, width = own.shape
-    # What the paths bring into a row: hypotheses and costs of the last valid pixel of each.
-    there, before = np.zeros((n, width), np.float32), np.zeros((n, width), np.float32)
-    began = np.zeros(width, np.bool_)
-    out, best = np.empty((n, width), np.float32), np.empty(width, np.float32)
-    for row in range(height):
-        y = row if dy > 0 else height - 1 - row
-        _extend(range_m[y], own[y], there, before, jump, best, out)
-        for x in range(width):
-            if valid[y, x]:
-                for t in range(n):
-                    before[t, x] = out[t, x] if began[x] else own[y, t, x]
-                    there[t, x] = range_m[y, t, x]
-                    total[y, t, x] += before[t, x]
-                began[x] = True
-        if dx != 0:
-            _shift(there, before, began, dx)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]  # numba has no types
-def _shift(there: F32, before: F32, began: Bool, dx: int) -> None:
-    """Move the paths sideways; new ones enter at the border."""
-    width = began.size
-    for i in range(width):
-        x = width - 1 - i if dx > 0 else i
-        inside = 0 <= x - dx < width
-        began[x] = began[x - dx] if inside else False
-        for t in range(there.shape[0]):
-            there[t, x] = there[t, x - dx] if inside else np.float32(0)
-            before[t, x] = before[t, x - dx] if inside else np.float32(0)
+                cycles[f] = turns(values[f, p].real, values[f, p].imag)
+            for t in range(range_m.shape[0]):
+                if not chi2[t, p] < np.inf:
+                    cost[t, p] = np.inf
+                    continue
+                lean = np.float32(0.0)  # negative: the lower the frequency, the longer its range
+                for f in range(k.size):
+                    off = cycles[f] - per_m[f] * range_m[t, p]
+                    lean += (off - np.rint(off)) * lever[f]
+                wide = error[1] if lean < 0 else error[0]
+                misfit = chi2[t, p] / max(noise + wide * wide * snr2[p], np.float32(1e-30))
+                bright = white[p] * range_m[t, p] * range_m[t, p] - WHITE
+                bright = max(bright, np.float32(0.0)) / WHITE_SPREAD
+                cost[t, p] = np.float32(0.5) * (misfit + bright * bright)
+                least = min(least, cost[t, p])
+            for t in range(range_m.shape[0]):
+                cost[t, p] = min(cost[t, p] - least, DEAREST)

@@ -6,7 +6,6 @@ leave those that were there as they are.
 """
 
 import re
-import tomllib
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools._recipe_file import read_toml
 from toftools.bench.fingerprint import digest
 from toftools.dataset._rules import (
     SPLITS,
@@ -105,13 +105,7 @@ def read_recipe(source: Path | str) -> Recipe:
     ValueError
         If there is no such recipe, or it asks for what is impossible.
     """
-    path = _file(source)
-    try:
-        text = path.read_text(encoding="utf-8")
-        given = tomllib.loads(text)
-    except (OSError, ValueError) as error:
-        msg = f"cannot read the recipe {path}: {error}"
-        raise ValueError(msg) from error
+    path, text, given = read_toml(source, RECIPES, "recipe")
     families, shares = _families(given, path.stem), check_split(given)
     parts: dict[str, str] = {}
     jobs = tuple(
@@ -126,16 +120,6 @@ def read_recipe(source: Path | str) -> Recipe:
             raise ValueError(msg)
         seen[job.id] = job
     return Recipe(str(given.get("name", path.stem)), str(given.get("about", "")), jobs, text)
-
-
-def _file(source: Path | str) -> Path:
-    path, known = Path(source), sorted(p.stem for p in RECIPES.glob("*.toml"))
-    if str(source) in known:
-        return RECIPES / f"{source}.toml"
-    if not path.is_file():
-        msg = f"got the recipe {str(source)!r}, wanted a TOML file or one of: {', '.join(known)}"
-        raise ValueError(msg)
-    return path
 
 
 def _families(given: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:

@@ -10,11 +10,12 @@ import onnx
 import torch
 from torch import nn
 
+from toftools.correct._net_coarse import STEP
 from toftools.correct._net_engine import engine
 from toftools.correct._net_file import KEY, NORMALISATION, Card, to_text
 from toftools.io.atomic import atomic_path
-from toftools.train import phasornet
 from toftools.train.recipe import MULTIPLE, TrainRecipe
+from toftools.train.standard import folded
 from toftools.types import F32
 
 OPSET = 17
@@ -66,7 +67,7 @@ def example(card: Card, channels: tuple[int, int]) -> dict[str, F32]:
     rng = np.random.default_rng(0)
     if card.input == "range":
         return {"range_m": rng.uniform(0.5, 5, (1, 1, SIDE, SIDE)).astype(np.float32)}
-    small = SIDE // phasornet.STEP
+    small = SIDE // STEP
     return {
         "full": rng.standard_normal((1, channels[0], SIDE, SIDE), np.float32),
         "coarse": rng.standard_normal((1, channels[1], small, small), np.float32),
@@ -79,7 +80,7 @@ def export(model: nn.Module, card: Card, inputs: Mapping[str, F32], out: Path) -
     Parameters
     ----------
     model : Module
-        In evaluation mode.
+        Trained; its standardised convolutions become plain ones.
     card : Card
         What it says of itself.
     inputs : mapping of str to ndarray
@@ -94,6 +95,9 @@ def export(model: nn.Module, card: Card, inputs: Mapping[str, F32], out: Path) -
     """
     model = model.to("cpu", memory_format=torch.contiguous_format).eval()
     tensors = tuple(torch.from_numpy(value) for value in inputs.values())
+    with torch.no_grad():
+        told = model(*tensors).numpy()
+    folded(model)
     axes = {name: {2: f"{name}_rows", 3: f"{name}_columns"} for name in inputs}
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what does not change between frames may be constant
@@ -105,8 +109,6 @@ def export(model: nn.Module, card: Card, inputs: Mapping[str, F32], out: Path) -
         )  # fmt: skip
         graph = onnx.load(str(path))
     data = labelled(graph, card)
-    with torch.no_grad():
-        told = model(*tensors).numpy()
     got = engine(data, card.name)(inputs)
     away = float(np.abs(got - told).max() / max(float(np.abs(told).max()), 1e-6))
     if not away < PARITY:

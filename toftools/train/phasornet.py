@@ -2,10 +2,12 @@
 
 A small U-net at a quarter of the resolution: 4 x 4 pixels become one place, and come out of its
 channels again (W. Shi et al., CVPR 2016, sub-pixel convolution); three scales from there, and the
-mean of the whole frame at the lowest, since all of a room's light is in every pixel. Output per
-pixel: a shift of range, the logarithm of its scale (Laplace), and how much better each further
-candidate is than the first. Input: `correct._net_inputs`. The design is ours; a scale learned with
-the error follows A. Kendall and Y. Gal, NeurIPS 2017. Fails outside of what it was trained on.
+mean of the whole frame at the lowest, since all of a room's light is in every pixel. Weights are
+standardised (`standard`): statistics of batches made the answer to a room depend on what else had
+been in the last batches. Output per pixel: a shift of range, the logarithm of its scale (Laplace),
+and how much better each further candidate is than the first. Input: `correct._net_inputs`. The
+design is ours; a scale learned with the error follows A. Kendall and Y. Gal, NeurIPS 2017. Fails
+outside of what it was trained on.
 """
 
 from collections.abc import Sequence
@@ -14,13 +16,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-STEP = 4
-"""Pixels per side that share a place of the network."""
-SCALES = 3
+from toftools.correct._net_coarse import STEP
+from toftools.train.standard import StandardConv
+
+MOST_SHIFT = 45.0
+"""Shifts beyond, in units of `SHIFT_M`, are no multipath but a missing candidate."""
 
 
 def block(inside: int, outside: int, stride: int = 1) -> nn.Sequential:
-    """A convolution of 3 x 3, normalised and rectified.
+    """A standardised convolution and its rectifier.
 
     Parameters
     ----------
@@ -34,9 +38,7 @@ def block(inside: int, outside: int, stride: int = 1) -> nn.Sequential:
     Sequential
         The layers.
     """
-    return nn.Sequential(
-        nn.Conv2d(inside, outside, 3, stride, 1, bias=False), nn.BatchNorm2d(outside), nn.ReLU()
-    )
+    return nn.Sequential(StandardConv(inside, outside, stride), nn.ReLU())
 
 
 class PhasorNet(nn.Module):
@@ -126,7 +128,6 @@ def loss_of(out: Tensor, candidates: Tensor, truth: Tensor, known: Tensor) -> tu
     away = (candidates - truth[:, None]).abs()
     right = away.argmin(dim=1, keepdim=True)
     target = truth - candidates.gather(1, right)[:, 0]
-    # A candidate further off than half its spacing is no candidate: the shift cannot reach it.
     near = known & (target.abs() < MOST_SHIFT)
     error = (shift - target).abs()
     likelihood = error * torch.exp(-log_scale) + log_scale
@@ -137,7 +138,3 @@ def loss_of(out: Tensor, candidates: Tensor, truth: Tensor, known: Tensor) -> tu
     )
     best = candidates.gather(1, logits.argmax(dim=1, keepdim=True))[:, 0]
     return loss, best + shift
-
-
-MOST_SHIFT = 15.0
-"""Shifts beyond, in units of `SHIFT_M`, are no multipath but a missing candidate."""

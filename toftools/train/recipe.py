@@ -1,12 +1,12 @@
 """Training recipes: a TOML file that says which network learns what, for how long."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from toftools._recipe_file import read_toml
 from toftools.bench.fingerprint import digest
 
 RECIPES = Path(__file__).parent / "recipes"
@@ -99,21 +99,7 @@ def read_train_recipe(source: Path | str) -> TrainRecipe:
     ValueError
         If there is no such recipe, or it asks for what is impossible.
     """
-    path, known = Path(source), sorted(p.stem for p in RECIPES.glob("*.toml"))
-    if str(source) in known:
-        path = RECIPES / f"{source}.toml"
-    elif not path.is_file():
-        msg = (
-            f"got the training recipe {str(source)!r}, wanted a TOML file or one of: "
-            + ", ".join(known)
-        )
-        raise ValueError(msg)
-    try:
-        text = path.read_text(encoding="utf-8")
-        given = tomllib.loads(text)
-    except (OSError, ValueError) as error:
-        msg = f"cannot read the training recipe {path}: {error}"
-        raise ValueError(msg) from error
+    path, text, given = read_toml(source, RECIPES, "training recipe")
     recipe = _checked({"name": path.stem, **given}, digest(text))
     return replace(recipe, data=str(path.parent / recipe.data)) if recipe.data else recipe
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toftools.correct._net_coarse import SHIFT_M
-from toftools.correct._net_inputs import View, seen, view_of
+from toftools.correct._net_inputs import View, ranges, seen, view_of
 from toftools.train.frames import Frame, indices
 from toftools.train.recipe import MULTIPLE, TrainRecipe
 from toftools.types import C64, F32, Bool, Camera, Modulation, Phasors, Sensor
@@ -26,6 +26,8 @@ CLEAN = 0.2
 """Share of frames without noise."""
 VIEWS = 1200
 NEAREST_M = 0.05
+STREAMS = ("train", "unlabelled")
+"""Draws of their own: the network's, and those of an autoencoder before it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,22 +77,22 @@ class Samples:
             )
             raise ValueError(msg)
 
-    def drawn(self, step: int, part: str = "train") -> Batch:
+    def drawn(self, step: int, stream: str = "train") -> Batch:
         """The batch of a step.
 
         Parameters
         ----------
         step : int
             Number of the step.
-        part : str
-            Draws differ between parts.
+        stream : {"train", "unlabelled"}
+            Draws differ between them.
 
         Returns
         -------
         Batch
-            The same for the same seed, step and part.
+            The same for the same seed, step and stream.
         """
-        rng = np.random.default_rng([self.recipe.seed, step, len(part)])
+        rng = np.random.default_rng([self.recipe.seed, step, STREAMS.index(stream)])
         size = SIZES[rng.choice(len(SIZES), p=SHARES)]
         return stacked([self._one(rng, size) for _ in range(self.recipe.batch)])
 
@@ -173,15 +175,19 @@ class Samples:
             if len(self.views) > VIEWS:
                 self.views.popitem(last=False)
         view = self.views[key]
-        got = seen(Phasors(np.ascontiguousarray(values)), view)
+        phasors = Phasors(np.ascontiguousarray(values))
+        if self.recipe.model == "deeptof2017":
+            first, valid = ranges(phasors, view)
+            full, candidates = (first * valid)[None] * np.float32(scale), first[None]
+            coarse = full[:0]
+        else:
+            got = seen(phasors, view)
+            full, coarse, candidates, valid = got.full, got.coarse, got.candidates_m, got.valid
         reach = view.walk.max_range_m
-        known = got.valid & np.isfinite(range_m) & (range_m > NEAREST_M) & (range_m < reach)
+        known = valid & np.isfinite(range_m) & (range_m > NEAREST_M) & (range_m < reach)
         unit = np.float32(scale / SHIFT_M)
         truth = np.where(known, range_m, 0) * unit
-        if self.recipe.model == "deeptof2017":
-            full = (got.candidates_m[:1] * np.float32(scale) * got.valid).astype(np.float32)
-            return Batch(full, got.coarse[:0], got.candidates_m * unit, truth, known)
-        return Batch(got.full, got.coarse, got.candidates_m * unit, truth, known)
+        return Batch(full, coarse, candidates * unit, truth, known)
 
 
 def stacked(batches: Sequence[Batch]) -> Batch:

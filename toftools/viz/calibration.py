@@ -3,7 +3,6 @@
 Drawn as `viz.figures` draws maps: through matplotlib's Figure and the Agg canvas.
 """
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,9 +11,9 @@ import numpy as np
 
 from toftools.types import F64, Bool
 from toftools.units import TWO_PI
+from toftools.viz._plots import SOFT, labels, png, row
 
-DPI = 130
-INK, SOFT, BEFORE, AFTER, FIT = "#1d2330", "#667085", "#c2410c", "#0b6b50", "#111827"
+BEFORE, AFTER, FIT = "#c2410c", "#0b6b50", "#111827"
 POINTS = 4000
 """Most points of a scatter; more are thinned evenly."""
 BINS = 48
@@ -79,7 +78,7 @@ def cyclic_png(panels: Sequence[Cyclic]) -> bytes:
     bytes
         PNG.
     """
-    figure, axes = _figure(len(panels), 3.1)
+    figure, axes = row(len(panels), 3.1)
     for ax, panel in zip(axes, panels, strict=True):
         thin = slice(None, None, max(1, panel.phase_rad.size // POINTS))
         degrees = np.degrees(panel.phase_rad[thin])
@@ -102,9 +101,9 @@ def cyclic_png(panels: Sequence[Cyclic]) -> bytes:
         ax.set_xticks(range(0, 361, 60))
         ends = np.concatenate([panel.before_mm[thin], panel.after_mm[thin], panel.curve_mm])
         _limits(ax, ends)
-        _labels(ax, panel.title, "measured phase, degrees", "range error, mm")
+        labels(ax, panel.title, "measured phase, degrees", "range error, mm")
         ax.legend(fontsize=8, frameon=False, ncols=3, loc="upper center")
-    return _png(figure)
+    return png(figure)
 
 
 def course_png(
@@ -128,7 +127,7 @@ def course_png(
     bytes
         PNG.
     """
-    figure, axes = _figure(len(panels), 3.0)
+    figure, axes = row(len(panels), 3.0)
     for ax, panel in zip(axes, panels, strict=True):
         order = np.argsort(panel.x)
         for values, color, label in (
@@ -136,10 +135,10 @@ def course_png(
             (panel.after_mm, AFTER, "after"),
         ):
             ax.plot(panel.x[order], values[order], "o-", ms=4, lw=1, color=color, label=label)
-        _labels(ax, panel.title, name, error)
+        labels(ax, panel.title, name, error)
         ax.set_xscale("log" if log else "linear")
         ax.legend(fontsize=8, frameon=False)
-    return _png(figure)
+    return png(figure)
 
 
 def distance_png(
@@ -161,7 +160,7 @@ def distance_png(
     bytes
         PNG.
     """
-    figure, (ax,) = _figure(1, 3.4)
+    figure, (ax,) = row(1, 3.4)
     order = np.argsort(distance_m)
     x = distance_m[order]
     floor = np.maximum(noise_mm[order], 1e-6)
@@ -176,9 +175,9 @@ def distance_png(
     ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
-    _labels(ax, "Held-out captures", "distance along the axis, m", "range error, mm rms")
+    labels(ax, "Held-out captures", "distance along the axis, m", "range error, mm rms")
     ax.legend(fontsize=8, frameon=False, ncols=3)
-    return _png(figure)
+    return png(figure)
 
 
 def lens_png(corners_px: F64, errors_px: F64, size: tuple[int, int]) -> bytes:
@@ -198,13 +197,13 @@ def lens_png(corners_px: F64, errors_px: F64, size: tuple[int, int]) -> bytes:
     bytes
         PNG.
     """
-    figure, (left, right) = _figure(2, 3.2)
+    figure, (left, right) = row(2, 3.2)
     left.plot(corners_px[:, 0], corners_px[:, 1], ".", ms=2, color=AFTER, alpha=0.7)
     left.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
-    _labels(left, "Coverage: corners of all boards", "column, px", "row, px")
+    labels(left, "Coverage: corners of all boards", "column, px", "row, px")
     right.bar(np.arange(1, len(errors_px) + 1), errors_px, color=AFTER)
-    _labels(right, "Reprojection error", "view", "px rms")
-    return _png(figure)
+    labels(right, "Reprojection error", "view", "px rms")
+    return png(figure)
 
 
 def _binned(phase_rad: F64, values: F64) -> tuple[F64, F64]:
@@ -224,35 +223,3 @@ def _limits(ax: Any, values: F64) -> None:  # noqa: ANN401 - matplotlib has no t
         low, high = np.percentile(finite, [0.5, 99.5])
         room = 0.2 * max(high - low, 1e-3)
         ax.set_ylim(low - room, high + 1.6 * room)
-
-
-def _figure(columns: int, height_in: float) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    count = max(columns, 1)
-    width = 4.6 * count if count > 1 else 6.4
-    figure = Figure(figsize=(width, height_in), dpi=DPI, facecolor="white", layout="constrained")
-    return figure, np.atleast_1d(figure.subplots(1, count))
-
-
-def _labels(ax: Any, title: str, x: str, y: str) -> None:  # noqa: ANN401
-    ax.set_title(title, fontsize=10, loc="left", color=INK)
-    ax.set_xlabel(x, fontsize=9, color=INK)
-    ax.set_ylabel(y, fontsize=9, color=INK)
-    ax.tick_params(labelsize=8, color=SOFT, labelcolor=INK)
-    ax.grid(color="#e4e7ec", lw=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color("#98a2b3")
-
-
-def _png(figure: Any) -> bytes:  # noqa: ANN401
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(
-        buffer, metadata={"Software": None}, pil_kwargs={"optimize": True}
-    )
-    return buffer.getvalue()

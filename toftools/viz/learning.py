@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from toftools.viz.calibration import _figure, _labels, _png
+from toftools.viz._plots import labels, png, row
 
 BLUE, RED, GREY = "#0072b2", "#d55e00", "#98a2b3"
 Points = Sequence[Mapping[str, float]]
@@ -39,7 +39,7 @@ def curves_png(stages: Mapping[str, Points], *, title: str) -> bytes:
     if not panels:
         msg = "got no point of a learning curve, wanted one or more"
         raise ValueError(msg)
-    figure, axes = _figure(len(panels), 3.4)
+    figure, axes = row(len(panels), 3.4)
     figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     for ax, (name, points, keys) in zip(axes, panels, strict=True):
         steps = [point["step"] for point in points]
@@ -48,8 +48,8 @@ def curves_png(stages: Mapping[str, Points], *, title: str) -> bytes:
             told = {"mae_cm": "mean", "median_cm": "median", "raw_cm": "mean, uncorrected"}
             ax.plot(steps, [point[key] for point in points], color=colour, lw=1.4, marker=".",
                     ms=3, label=told.get(key))  # fmt: skip
-        _labels(ax, name, "steps", "absolute error, cm" if errors else "mean loss")
+        labels(ax, name, "steps", "absolute error, cm" if errors else "mean loss")
         if errors:
             ax.set_yscale("log")
             ax.legend(fontsize=8, frameon=False)
-    return _png(figure)
+    return png(figure)
