@@ -19,7 +19,7 @@ from toftools.phasor import demodulate
 from toftools.registry import checked_params, parameters_of
 from toftools.sim.noise import Frame, capture_moving, capture_taps, true_phasors
 from toftools.sim.shapes import Transport, cavity, corner, tilted, two_returns, wall
-from toftools.types import Capture, Scene, Shot, Truth
+from toftools.types import C64, Capture, Scene, Shot, Truth
 
 SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(
     {
@@ -119,12 +119,22 @@ def _capture(
         taps = capture_moving(lambda time_s: frame(transport_at(time_s)), sensor, seed=seed)
     else:
         taps = capture_taps(*frame(transport), sensor, seed=seed)
-    direct = true_phasors(lambda freq_hz: signal * transport.phasor(freq_hz, 0), sensor)
+
+    def up_to(bounces: int | None) -> C64:
+        return true_phasors(lambda freq_hz: signal * transport.phasor(freq_hz, bounces), sensor)
+
+    direct, every = up_to(0), up_to(shot.max_bounces)
+    once = direct if shot.max_bounces == 0 else up_to(1)
     return Capture(
         sensor=sensor,
         taps=taps,
         phasors=demodulate(taps, sensor),
-        truth=Truth(np.asarray(transport.range_m, np.float32), direct),
+        truth=Truth(
+            np.asarray(transport.range_m, np.float32),
+            direct,
+            one_bounce=once - direct,
+            rest=every - once,
+        ),
         provenance={
             "engine": "analytic",
             **{key: value for key, value in what.items() if key != "engine"},
