@@ -105,6 +105,17 @@ def test_two_returns_add_as_phasors():
     assert np.allclose(ratio, 1 + 0.3 * np.exp(1j * path_to_phase(1.4, 20e6)), rtol=1e-5)
 
 
+def test_returns_are_a_geometric_sum():
+    capture = shoot("returns", count=4, range=2.0, extra=0.7, ratio=0.3)
+    later = 0.3 * np.exp(1j * path_to_phase(1.4, 20e6))
+    ratio = capture.phasors.values / capture.truth.direct
+    assert np.allclose(ratio, (1 - later**4) / (1 - later), rtol=1e-5)
+    assert np.allclose(capture.truth.one_bounce / capture.truth.direct, later, rtol=1e-4)
+    two = shoot("returns", count=2, range=2.0, extra=0.7, ratio=0.3)
+    same = shoot("two_returns", range=2.0, extra=0.7, ratio=0.3)
+    assert np.array_equal(two.phasors.values, same.phasors.values)
+
+
 @pytest.mark.parametrize(
     ("scheme", "peak_deg"),
     [("four_step", 4.0746), ("three_step", 1.1170), ("eight_step", 0.4595)],

@@ -438,7 +438,7 @@ def test_motion_that_cannot_be_is_refused():
     ("text", "message"),
     [
         ("nope", "unknown scene 'nope'; scenes: wall, tilted, .*files: .xml, .ply"),
-        ("two_returns", "two_returns plants its second return and has no geometry"),
+        ("two_returns", "two_returns plants what follows the first and has no geometry"),
         ("wall:range=-1", "range must be a positive number, got -1"),
         ("wall:albedo=nan", "got albedo=nan, wanted a number"),
         ("wall:albedo=1.2", r"albedo must be in \(0, 1\], got 1.2"),

@@ -277,6 +277,7 @@ METRICS = _table(
     p25_m=_percentile(25),
     p75_m=_percentile(75),
     p95_m=_percentile(95),
+    p99_m=_percentile(99),
     under_1cm=_under(0.01),
     under_2cm=_under(0.02),
     under_5cm=_under(0.05),

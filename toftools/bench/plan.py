@@ -10,7 +10,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ from typing import Any
 from toftools.bench.fingerprint import capture_digest, digest, package_digest
 from toftools.bench.methods import check_method, points
 from toftools.bench.references import REFERENCES
-from toftools.bench.suite import Source, Suite, expand
+from toftools.bench.source import Source
+from toftools.bench.suite import Suite, expand
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture, write_capture
 from toftools.io.open import open_capture
@@ -190,8 +191,8 @@ def _applies(method: str, params: Mapping[str, Any], item: Mapping[str, Any]) ->
 def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:
     if source.sensor is not None:
         name = _slug(source.text)
-        wish = [source.text, source.sensor, source.engine, source.tol_mm]
-        mark = digest([*wish, package_digest()])[:8]
+        wish = [source.text, source.sensor, source.engine, source.tol_mm, source.claimed]
+        mark = digest([*wish, source.seed, package_digest()])[:8]
         yield _store(source, name, out / "captures" / f"{name}-{mark}.h5", lambda: _shot(source))
         return
     if source.unless in os.environ:
@@ -218,12 +219,18 @@ def _same(capture: Capture) -> Capture:
 
 def _shot(source: Source) -> Capture:
     scene = Scene(*parse_entry(source.text))
-    shot = Shot(sensor(str(source.sensor)), seed=0, tol_m=1e-3 * source.tol_mm)
+    shot = Shot(sensor(str(source.sensor)), seed=source.seed, tol_m=1e-3 * source.tol_mm)
     engine = choose(scene, shot.sensor)[0] if source.engine == "auto" else source.engine
     capture: Capture = find(SIMULATORS, engine).build(scene)(shot)
     if capture.provenance.get("tolerance_met") is False:
         log.warning("%s has a standard error of range above %g mm", source.text, source.tol_mm)
-    return capture
+    return _told(capture, source.claimed) if source.claimed else capture
+
+
+def _told(capture: Capture, claimed: str) -> Capture:
+    """The capture as somebody has it who believes in another sensor than the one that took it."""
+    told = {"claimed_sensor": claimed, **capture.provenance}
+    return replace(capture, sensor=sensor(claimed), phasors=None, provenance=told)
 
 
 def _store(source: Source, name: str, path: Path, make: Callable[[], Capture]) -> dict[str, Any]:
@@ -237,6 +244,9 @@ def _store(source: Source, name: str, path: Path, make: Callable[[], Capture]) -
         "id": path.stem,
         "name": name,
         "group": source.group,
+        **(
+            {"axis": source.axis, "value": source.value, "seed": source.seed} if source.axis else {}
+        ),
         "truth": capture.truth is not None,
         "camera_depth": capture.depth is not None,
         "reported": list(capture.reported),

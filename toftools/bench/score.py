@@ -20,12 +20,15 @@ from toftools.bench.run import read_result, result_path
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.metrics.coverage import coverage_curve
+from toftools.metrics.interval import inside_interval
 from toftools.metrics.regions import regions
 from toftools.phasor import phasors_of
 from toftools.registry import CORRECTIONS, METRICS, parameters_of
 from toftools.types import Bool, Capture, DepthMap, Truth
 from toftools.units import ambiguity_m
 
+LEVELS = (0.68, 0.95)
+"""Intervals of sigma whose promise is checked."""
 # Distributions compare whole images; a region of one has too few pixels to fill a histogram.
 WHOLE_IMAGE = ("range_", "gradient_", "cooccurrence_", "haar_")
 
@@ -177,6 +180,7 @@ def _row(
         "capture": item["name"],
         "capture_id": item["id"],
         "group": item["group"],
+        **{key: item[key] for key in ("axis", "value", "seed") if key in item},
         "method": point.method,
         "params": dict(point.params),
         "against": scorer.against,
@@ -192,6 +196,12 @@ def _row(
         beside = {_input_name(name): value for name, value in scorer.input.items()}
         row["metrics"] = {**scores, **beside}
         row["pixels"] = {name: int(mask.sum()) for name, mask in scorer.masks.items()}
+        row["intervals"] = {
+            f"{100 * level:.0f}": inside_interval(
+                scorer.truth, level=level, mask=scorer.masks["all"]
+            )(depth)
+            for level in LEVELS
+        }
         curve = coverage_curve(depth=depth, truth=scorer.truth, mask=scorer.masks["all"],
                                max_points=40)  # fmt: skip
         row["coverage"] = {name: getattr(curve, name).tolist() for name in ("coverage", "mae_m")}

@@ -2,49 +2,20 @@
 
 import os
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from toftools.bench.methods import method_of, specs_of
+from toftools.bench.source import Source, check_keys, list_of, number_of, table_of
+from toftools.bench.stress import axis_sources
 from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
-_KEYS = ("name", "captures", "scenes", "sensor", "engine", "tol_mm", "methods", "grid", "repeats",
-         "mask")  # fmt: skip
+_KEYS = ("name", "captures", "scenes", "axis", "sensor", "engine", "tol_mm", "methods", "grid",
+         "repeats", "mask")  # fmt: skip
 _SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
-
-
-@dataclass(frozen=True)
-class Source:
-    """One entry of a suite: a file pattern or a scene.
-
-    Parameters
-    ----------
-    text : str
-        Path pattern (environment variables are expanded) or ``scene:key=val,...``.
-    group : str
-        Captures of one group share a chart and a mean.
-    format : str or None
-        Foreign format to force for a file.
-    sensor : str or None
-        Sensor of a scene; None for a file.
-    engine : str
-        What makes the capture of a scene: ``auto`` or a simulator.
-    tol_mm : float
-        Standard error of range that it may leave, mm.
-    unless : str
-        Environment variable that, if set, makes a file superfluous; empty for none.
-    """
-
-    text: str
-    group: str
-    format: str | None = None
-    sensor: str | None = None
-    engine: str = "auto"
-    tol_mm: float = 1.0
-    unless: str = ""
 
 
 @dataclass(frozen=True)
@@ -124,19 +95,23 @@ def load_suite(name_or_path: str) -> Suite:
 
 def _suite(table: Mapping[str, Any], path: Path) -> Suite:
     where = path.name
-    _check_keys(table, _KEYS, where)
-    sources = [*_files(_list(table, "captures", where), where), *_scenes(table, where)]
-    methods = tuple(str(m) for m in _list(table, "methods", where))
+    check_keys(table, _KEYS, where)
+    sources = [
+        *_files(list_of(table, "captures", where), where),
+        *_scenes(table, where),
+        *axis_sources(list_of(table, "axis", where), where),
+    ]
+    methods = tuple(str(m) for m in list_of(table, "methods", where))
     if not sources or not methods:
-        msg = f"{where} needs methods, and captures or scenes; got {sorted(table)}"
+        msg = f"{where} needs methods, and captures, scenes or axes; got {sorted(table)}"
         raise ValueError(msg)
     names = {spec.name for method in methods for spec in specs_of(method_of(method))}
-    grid = _table(table, "grid", where)
-    _check_keys(grid, names, f"[grid] of {where}")
-    mask = _table(table, "mask", where)
-    _check_keys(mask, ("min_range_m", "max_range_m"), f"[mask] of {where}")
-    low = _number(mask, "min_range_m", 0.0, where)
-    high = _number(mask, "max_range_m", float("inf"), where)
+    grid = table_of(table, "grid", where)
+    check_keys(grid, names, f"[grid] of {where}")
+    mask = table_of(table, "mask", where)
+    check_keys(mask, ("min_range_m", "max_range_m"), f"[mask] of {where}")
+    low = number_of(mask, "min_range_m", 0.0, where)
+    high = number_of(mask, "max_range_m", float("inf"), where)
     repeats = table.get("repeats", 11)
     if not isinstance(repeats, int) or repeats < 1 or not 0 <= low < high:
         msg = (
@@ -150,45 +125,14 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
         sources=tuple(sources),
         methods=methods,
         grid={
-            name: {key: tuple(_list(dials, key, where)) for key in dials}
+            name: {key: tuple(list_of(dials, key, where)) for key in dials}
             for name in grid
-            for dials in [_table(grid, name, where)]
+            for dials in [table_of(grid, name, where)]
         },
         repeats=repeats,
         min_range_m=low,
         max_range_m=high,
     )
-
-
-def _check_keys(table: Mapping[str, Any], known: Collection[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            msg = f"{where} has an unknown key {key!r}; known: {', '.join(known)}"
-            raise ValueError(msg)
-
-
-def _table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, Mapping):
-        msg = f"{key} in {where} must be a table, got {value!r}"
-        raise ValueError(msg)
-    return value
-
-
-def _list(table: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    value = table.get(key, [])
-    if not isinstance(value, list):
-        msg = f"{key} in {where} must be a list, got {value!r}"
-        raise ValueError(msg)
-    return value
-
-
-def _number(table: Mapping[str, Any], key: str, default: float, where: str) -> float:
-    value = table.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        msg = f"{key} in {where} must be a number, got {value!r}"
-        raise ValueError(msg)
-    return float(value)
 
 
 def _files(entries: list[Any], where: str) -> Iterator[Source]:
@@ -197,7 +141,7 @@ def _files(entries: list[Any], where: str) -> Iterator[Source]:
         if not isinstance(item, Mapping) or "path" not in item:
             msg = f"captures in {where} must be paths or tables with a path, got {entry!r}"
             raise ValueError(msg)
-        _check_keys(item, ("path", "format", "group", "unless"), f"captures of {where}")
+        check_keys(item, ("path", "format", "group", "unless"), f"captures of {where}")
         pattern = str(item["path"])
         group = str(item.get("group", Path(pattern).parent.name or "captures"))
         yield Source(pattern, group, item.get("format"), unless=str(item.get("unless", "")))
@@ -206,11 +150,11 @@ def _files(entries: list[Any], where: str) -> Iterator[Source]:
 def _scenes(table: Mapping[str, Any], where: str) -> Iterator[Source]:
     usual = {"sensor": "deeptof", "engine": "auto", "tol_mm": 1.0}
     usual |= {key: table[key] for key in usual if key in table}
-    entries = [_scene(entry, usual, where) for entry in _list(table, "scenes", where)]
+    entries = [_scene(entry, usual, where) for entry in list_of(table, "scenes", where)]
     ordered = dict.fromkeys(sensor for entry in entries for sensor in entry["sensor"])
     for sensor in ordered:
         for entry in (e for e in entries if sensor in e["sensor"]):
-            engine, tol_mm = str(entry["engine"]), _number(entry, "tol_mm", 1.0, where)
+            engine, tol_mm = str(entry["engine"]), number_of(entry, "tol_mm", 1.0, where)
             if engine != "auto":
                 find(SIMULATORS, engine)
             if not 0 < tol_mm < float("inf"):
@@ -226,10 +170,10 @@ def _scene(entry: Any, usual: Mapping[str, Any], where: str) -> dict[str, Any]: 
     if not isinstance(item, Mapping) or "scene" not in item:
         msg = f"scenes in {where} must be names or tables with a scene, got {entry!r}"
         raise ValueError(msg)
-    _check_keys(item, _SCENE_KEYS, f"scenes of {where}")
+    check_keys(item, _SCENE_KEYS, f"scenes of {where}")
     full = {**usual, **item}
     named = full["sensor"]
-    sensors = [named] if isinstance(named, str) else _list(full, "sensor", where)
+    sensors = [named] if isinstance(named, str) else list_of(full, "sensor", where)
     return {**full, "scene": str(full["scene"]), "sensor": [str(s) for s in sensors]}
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from toftools.phasor import demodulate
 from toftools.registry import checked_params, parameters_of
 from toftools.sim.noise import Frame, capture_moving, capture_taps, true_phasors
-from toftools.sim.shapes import Transport, cavity, corner, tilted, two_returns, wall
+from toftools.sim.shapes import Transport, cavity, corner, returns, tilted, two_returns, wall
 from toftools.types import C64, Capture, Scene, Shot, Truth
 
 SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(
@@ -26,6 +26,7 @@ SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(
         "wall": wall,
         "tilted": tilted,
         "two_returns": two_returns,
+        "returns": returns,
         "cavity": cavity,
         "corner": corner,
     }

@@ -79,8 +79,8 @@ def _builder(name: str) -> Callable[..., World]:
     if path.suffix.lower() in FILES and not path.is_dir():
         return partial(FILES[path.suffix.lower()], path)
     known = f"scenes: {', '.join(WORLDS)}; files: {', '.join(FILES)}"
-    if name == "two_returns":
-        msg = f"two_returns plants its second return and has no geometry, take analytic; {known}"
+    if name in ("two_returns", "returns"):
+        msg = f"{name} plants what follows the first and has no geometry, take analytic; {known}"
     elif path.is_dir():
         msg = f"got the folder {name!r}, wanted a scene file in it; {known}"
     elif path.suffix or path.exists() or "/" in name:

@@ -155,6 +155,51 @@ def two_returns(
     return Transport(first.range_m, phasor)
 
 
+def returns(
+    camera: Camera,
+    *,
+    count: int = 3,
+    range: float = 2.0,
+    extra: float = 0.5,
+    ratio: float = 0.5,
+    albedo: float = 0.5,
+) -> Transport:
+    """Wall with several planted returns per pixel, evenly apart, each weaker than the one before.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera.
+    count : int
+        Returns in all, the wall's included.
+    range : float
+        Distance of the wall along the optical axis, m.
+    extra : float
+        How much farther each return seems to lie than the one before, m of range.
+    ratio : float
+        Strength of each return relative to the one before.
+    albedo : float
+        Diffuse albedo, 0..1.
+
+    Returns
+    -------
+    Transport
+        The nth return after the first counts as n indirect bounces.
+    """
+    check_positive(extra=extra)
+    if not (count >= 1 and ratio >= 0):
+        msg = f"returns wants a count of 1 or more and a ratio of 0 or more, got {count}, {ratio}"
+        raise ValueError(msg)
+    first = wall(camera, range=range, albedo=albedo)
+
+    def phasor(freq_hz: float, max_bounces: int | None) -> C128:
+        most = count if max_bounces is None else min(count, max_bounces + 1)
+        later = ratio * np.exp(1j * range_to_phase(extra, freq_hz))
+        return np.asarray(first.phasor(freq_hz, 0) * sum(later**n for n in np.arange(most)))
+
+    return Transport(first.range_m, phasor)
+
+
 def cavity(camera: Camera, *, radius: float = 2.0, albedo: float = 0.8) -> Transport:
     """Lambertian sphere seen from its centre: every bounce, exactly.
 

@@ -1,0 +1,220 @@
+"""Stress axes and what is read from them: families of captures, breaking points, warnings."""
+
+import numpy as np
+import pytest
+
+from toftools.bench.plan import make_plan
+from toftools.bench.run import Settings, run_points
+from toftools.bench.score import score
+from toftools.bench.stability import courses, stability
+from toftools.bench.stress import axis_sources
+from toftools.bench.suite import load_suite
+from toftools.correct.crt import crt
+from toftools.io.native import read_capture
+from toftools.metrics.interval import inside_interval
+from toftools.sensors import sensor
+from toftools.types import DepthMap, Truth
+
+AXIS = {
+    "name": "light",
+    "values": [4000, 1000, 250],
+    "scene": "wall:range=2",
+    "sensor": "opt8241:width=12,height=9,signal_e={value}",
+    "seeds": 2,
+}
+SUITE = """name = "small"
+methods = ["crt:max_range_m=0", "test_stress:wild", "test_stress:boastful"]
+repeats = 1
+
+[[axis]]
+name = "clock"
+values = [0, 1000, 10000, 40000]
+f = ["40e6+70e6", "40.04e6+70.07e6", "40.4e6+70.7e6", "41.6e6+72.8e6"]
+scene = "wall:range=3,albedo=0.9"
+sensor = "opt8241:width=12,height=9,freqs={f}"
+claimed = "opt8241:width=12,height=9"
+seeds = 1
+"""
+
+
+def wild(device):
+    """A method that is right until the range is a little off, then far from it."""
+    plain = crt(device)
+
+    def run(phasors):
+        range_m = plain(phasors).range_m
+        return DepthMap(np.where(np.abs(range_m - np.median(range_m)) < 9, range_m + 40 * np.abs(
+            np.maximum(range_m - 3.02, 0)), range_m))  # fmt: skip
+
+    return run
+
+
+def boastful(device):
+    """A method whose sigma is a hundredth of what it should be."""
+    plain = crt(device)
+
+    def run(phasors):
+        depth = plain(phasors)
+        return DepthMap(depth.range_m, sigma_m=depth.sigma_m / 100)
+
+    return run
+
+
+# Axes
+
+
+def test_an_axis_is_a_scene_per_value_and_seed():
+    found = list(axis_sources([AXIS], "mine.toml"))
+    assert [(s.value, s.seed) for s in found] == [(v, s) for v in AXIS["values"] for s in (0, 1)]
+    assert found[2].sensor == "opt8241:width=12,height=9,signal_e=1000"
+    assert {s.axis for s in found} == {"light"} and {s.group for s in found} == {"axis: light"}
+
+
+def test_columns_stand_beside_the_values():
+    axis = {**AXIS, "rows": [9, 6, 3], "sensor": "opt8241:width={value},height={rows}"}
+    found = list(axis_sources([axis], "mine.toml"))
+    assert found[-1].sensor == "opt8241:width=250,height=3"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"name": ""}, "needs a name"),
+        ({"values": [1, 2]}, "3 or more different numbers"),
+        ({"values": [1, 2, 2]}, "3 or more different numbers"),
+        ({"values": [1, 2, float("nan")]}, "3 or more different numbers"),
+        ({"values": [1, True, 3]}, "3 or more different numbers"),
+        ({"scene": ""}, "needs a scene and a sensor"),
+        ({"scene": "wall:range={metres}"}, "asks for {metres}, known: {value}"),
+        ({"rows": [1, 2]}, "has 2 rows for 3 values"),
+        ({"seeds": 0}, "wants seeds from 1 to 1000, got 0"),
+        ({"seeds": 1.5}, "wants seeds from 1 to 1000, got 1.5"),
+        ({"tol_mm": -1}, "must be a positive number, got -1"),
+        ({"engine": "magic"}, "unknown name 'magic'"),
+        ({"sensor": "opt8241:signal={value}"}, "unknown sensor key 'signal'"),
+        ({"claimed": "nope"}, "nope"),
+        ({"wrong": 3}, "unknown key 'wrong'"),
+    ],
+)
+def test_what_is_no_axis(change, said):
+    with pytest.raises(ValueError, match=r"axis|name|sensor") as caught:
+        list(axis_sources([{**AXIS, **change}], "mine.toml"))
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_axes_have_names_of_their_own():
+    with pytest.raises(ValueError, match="two axes 'light'"):
+        list(axis_sources([AXIS, AXIS], "mine.toml"))
+
+
+def test_the_suite_of_the_package_has_every_axis():
+    suite = load_suite("stress")
+    names = {source.axis for source in suite.sources}
+    assert len(names) >= 21
+    for source in suite.sources:
+        if source.claimed:
+            true, told = sensor(source.sensor), sensor(source.claimed)
+            assert true.camera.shape == told.camera.shape
+            assert true.modulation.steps_rad.shape == told.modulation.steps_rad.shape
+
+
+# Measures
+
+
+def row(value, seed, mae, raw, *, label="m", valid=1.0, status="ok", inside=(0.68, 0.95)):
+    metrics = {"mae_m": mae, "input_mae_m": raw, "valid_share": valid, "p99_m": 3 * mae}
+    return {
+        "axis": "a", "value": value, "seed": seed, "method": label, "params": {}, "status": status,
+        "error": "it raised" if status != "ok" else None,
+        "metrics": metrics if status == "ok" else {},
+        "intervals": {"68": inside[0], "95": inside[1]},
+    }  # fmt: skip
+
+
+def told(errors, raws, values=(1.0, 10.0, 100.0, 1000.0), **more):
+    rows = [row(v, s, e * (1 + 0.01 * s), r, **more)
+            for v, e, r in zip(values, errors, raws, strict=True) for s in range(3)]  # fmt: skip
+    return stability(courses(rows)[0])
+
+
+def test_it_breaks_where_it_passes_the_input():
+    found = told((0.01, 0.05, 0.2, 0.8), (0.1, 0.1, 0.1, 0.1))
+    # Its own error has doubled before: 0.02 between 0.01 and 0.05 on logarithms.
+    part = np.log(2) / np.log(5)
+    assert found.why == "own" and found.breaks_at == pytest.approx(10**part, rel=0.02)
+    late = told((0.06, 0.07, 0.3, 0.8), (0.1, 0.1, 0.1, 0.1))
+    assert late.why == "input"
+    # 0.102, the input's error and 2 % of slack, between 0.07 and 0.3 on logarithms.
+    part = np.log(0.102 / 0.07) / np.log(0.3 / 0.07)
+    assert late.breaks_at == pytest.approx(10 ** (1 + part), rel=0.05)
+    assert late.low <= late.breaks_at <= late.high
+    assert late.flags == ("unstable",)
+
+
+def test_what_never_breaks_says_so():
+    found = told((0.01, 0.011, 0.012, 0.013), (0.1, 0.1, 0.1, 0.1))
+    assert found.breaks_at is None and found.share == 1 and found.why == "" and found.flags == ()
+    assert np.isfinite(found.slope_m) and found.slope_m > 0
+
+
+def test_methods_that_only_unwrap_equal_the_input_and_break_by_their_own_error():
+    found = told((0.01, 0.012, 0.05, 0.4), (0.01, 0.012, 0.05, 0.4))
+    assert found.why == "own" and 10 < found.breaks_at < 100 and found.flags == ()
+
+
+def test_missing_answers_and_failures_break():
+    rows = [row(v, s, 0.01, 0.1, valid=0.3 if v == 3 else 1.0) for v in (1, 2, 3) for s in (0, 1)]
+    found = stability(courses(rows)[0])
+    assert found.why == "no answer" and found.breaks_at > 2
+    rows = [row(v, s, 0.01, 0.1, status="failed" if v > 1 else "ok")
+            for v in (1, 2, 3) for s in (0, 1)]  # fmt: skip
+    found = stability(courses(rows)[0])
+    assert found.share < 1 and "fails" in found.flags
+    assert courses(rows)[0].failures == ("it raised",)
+
+
+def test_seeds_that_disagree_widen_the_interval():
+    rows = [row(v, s, e, 0.1) for v, pair in ((1, (0.01, 0.01)), (2, (0.01, 0.05)), (4, (0.2, 0.2)))
+            for s, e in enumerate(pair)]  # fmt: skip
+    found = stability(courses(rows)[0])
+    assert found.low < found.breaks_at < found.high
+
+
+def test_an_overconfident_sigma_is_flagged():
+    assert told((0.01,) * 4, (0.1,) * 4, inside=(0.1, 0.2)).flags == ("overconfident",)
+    assert told((0.01,) * 4, (0.1,) * 4, inside=(0.9, 1.0)).flags == ()
+    assert np.isnan(told((0.01,) * 4, (0.1,) * 4, inside=(None, None)).inside_68)
+
+
+def test_intervals_hold_what_they_promise():
+    rng = np.random.default_rng(0)
+    truth, sigma_m = Truth(np.full((300, 300), 2.0)), np.full((300, 300), 0.1)
+    answer = DepthMap(2 + 0.1 * rng.standard_normal((300, 300)), sigma_m=sigma_m)
+    for level in (0.5, 0.68, 0.95):
+        # 90,000 draws: standard error below 0.0017.
+        got = inside_interval(truth, level=level)(answer)
+        assert got == pytest.approx(level, abs=0.006)
+    assert np.isnan(inside_interval(truth)(DepthMap(answer.range_m)))
+    with pytest.raises(ValueError, match="level must be a probability"):
+        inside_interval(truth, level=1.0)
+
+
+# All together
+
+
+def test_a_suite_of_axes_runs_and_bad_methods_are_flagged(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "tests")
+    (tmp_path / "small.toml").write_text(SUITE)
+    plan = make_plan(load_suite(str(tmp_path / "small.toml")), tmp_path / "out")
+    capture = read_capture(tmp_path / "out" / "captures" / f"{plan[-1].capture}.h5")
+    assert capture.sensor.modulation.freqs_hz.tolist() == [40e6, 70e6]
+    assert "41.6e6" not in str(capture.provenance["claimed_sensor"])
+    run_points(plan, tmp_path / "out", Settings(1, 1, 60.0), lambda *_: None)
+    rows = score(tmp_path / "out")
+    assert all(r["status"] == "ok" and r["axis"] == "clock" for r in rows), rows[0]["error"]
+    found = {s.label: s for s in map(stability, courses(rows))}
+    # Noise-free, a clock that is 4 % fast reads 3 m as 3.12 m.
+    assert courses(rows)[0].error_m[-1].mean() == pytest.approx(0.12, abs=0.02)
+    assert found["test_stress:wild"].flags == ("unstable",)
+    assert found["test_stress:boastful"].flags == ("overconfident",)
+    assert found["crt:max_range_m=0"].flags == () and found["crt:max_range_m=0"].why == "own"

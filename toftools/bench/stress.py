@@ -1,0 +1,147 @@
+"""Stress axes: families of simulated captures in which one figure goes from easy to hard.
+
+An axis is a table of a suite. Its scene, its sensor, and the sensor that methods are told of
+(``claimed``: a detuned clock, wrong intrinsics, an uncalibrated waveform) are texts in which
+``{value}`` stands for the figure; other lists of the table are columns beside it, by their names.
+Every value is simulated with several seeds, so that a curve has a spread.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from toftools.bench.source import Source, check_keys, list_of, number_of
+from toftools.registry import SIMULATORS, find
+from toftools.sensors import sensor
+
+_KEYS = (
+    "name",
+    "about",
+    "unit",
+    "values",
+    "scene",
+    "sensor",
+    "claimed",
+    "engine",
+    "tol_mm",
+    "seeds",
+)
+LEAST_VALUES = 3
+"""Fewer points make no curve."""
+MOST_SEEDS = 1000
+GROUP = "axis: "
+"""What the groups of axes start with."""
+
+
+def axis_sources(entries: Sequence[Any], where: str) -> Iterator[Source]:
+    """The scenes of stress axes.
+
+    Parameters
+    ----------
+    entries : sequence
+        Tables ``[[axis]]`` of a suite: ``name``, ``values`` (easiest first), ``scene``, ``sensor``;
+        optional ``about``, ``unit``, ``claimed``, ``engine``, ``tol_mm``, ``seeds`` (3), and
+        further lists of as many entries as there are values.
+    where : str
+        The suite, for messages.
+
+    Yields
+    ------
+    Source
+        One per value and seed.
+
+    Raises
+    ------
+    ValueError
+        If a table is no axis.
+
+    Examples
+    --------
+    >>> axis = {"name": "ambient", "values": [0, 100, 1e4], "scene": "wall:ambient_e={value}",
+    ...         "sensor": "deeptof", "seeds": 1}
+    >>> [source.text for source in axis_sources([axis], "mine.toml")]
+    ['wall:ambient_e=0', 'wall:ambient_e=100', 'wall:ambient_e=10000']
+    """
+    seen: set[str] = set()
+    for entry in entries:
+        name = _checked(entry, where)
+        if name in seen:
+            msg = f"{where} has two axes {name!r}; give each a name of its own"
+            raise ValueError(msg)
+        seen.add(name)
+        yield from _sources(entry, name, where)
+
+
+def _checked(entry: object, where: str) -> str:
+    """The name of an axis whose table is whole."""
+    if not isinstance(entry, Mapping) or not all(isinstance(key, str) for key in entry):
+        msg = f"axis in {where} must be a table [[axis]], got {entry!r}"
+        raise ValueError(msg)
+    name = str(entry.get("name", ""))
+    values = list_of(entry, "values", where)
+    numbers = all(
+        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values
+    )
+    if not name or len(values) < LEAST_VALUES or not numbers or len(set(values)) < len(values):
+        msg = (
+            f"an axis of {where} needs a name and {LEAST_VALUES} or more different numbers as "
+            f"values, easiest first; got name={name!r} and values={values!r}"
+        )
+        raise ValueError(msg)
+    columns = [key for key in entry if key not in _KEYS and isinstance(entry[key], list)]
+    check_keys(entry, (*_KEYS, *columns), f"axis {name} of {where}")
+    for key in columns:
+        if len(entry[key]) != len(values):
+            msg = f"axis {name} of {where} has {len(entry[key])} {key} for {len(values)} values"
+            raise ValueError(msg)
+    _check_seeds(entry, name, where)
+    return name
+
+
+def _check_seeds(entry: Mapping[str, Any], name: str, where: str) -> None:
+    seeds = entry.get("seeds", 3)
+    if isinstance(seeds, bool) or not isinstance(seeds, int) or not 1 <= seeds <= MOST_SEEDS:
+        msg = f"axis {name} of {where} wants seeds from 1 to {MOST_SEEDS}, got {seeds!r}"
+        raise ValueError(msg)
+
+
+def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source]:
+    engine, tol_mm = str(entry.get("engine", "auto")), number_of(entry, "tol_mm", 1.0, where)
+    if engine != "auto":
+        find(SIMULATORS, engine)
+    if not 0 < tol_mm < math.inf:
+        msg = f"tol_mm of axis {name} in {where} must be a positive number, got {tol_mm:g}"
+        raise ValueError(msg)
+    texts = {key: str(entry.get(key, "")) for key in ("scene", "sensor", "claimed")}
+    if not texts["scene"] or not texts["sensor"]:
+        msg = f"axis {name} of {where} needs a scene and a sensor, got {sorted(entry)}"
+        raise ValueError(msg)
+    columns = {key: entry[key] for key in entry if key not in _KEYS}
+    for number, value in enumerate(entry["values"]):
+        row = {"value": value, **{key: column[number] for key, column in columns.items()}}
+        filled = {key: _filled(text, row, name, where) for key, text in texts.items()}
+        for key in ("sensor", "claimed"):
+            if filled[key]:
+                sensor(filled[key])  # a wrong figure is told before anything is simulated
+        for seed in range(entry.get("seeds", 3)):
+            yield Source(
+                filled["scene"], f"{GROUP}{name}", None, filled["sensor"], engine, tol_mm,
+                claimed=filled["claimed"], seed=seed, axis=name, value=float(value),
+            )  # fmt: skip
+
+
+def _filled(text: str, row: Mapping[str, Any], name: str, where: str) -> str:
+    """The text with its braces replaced."""
+
+    def found(match: re.Match[str]) -> str:
+        key = match.group(1)
+        if key not in row:
+            msg = f"axis {name} of {where} asks for {{{key}}}, known: " + ", ".join(
+                f"{{{known}}}" for known in row
+            )
+            raise ValueError(msg)
+        value = row[key]
+        return f"{value:.12g}" if isinstance(value, int | float) else str(value)
+
+    return re.sub(r"\{([^{}]*)\}", found, text)
