@@ -1,9 +1,14 @@
 """Stress axes and what is read from them: families of captures, breaking points, warnings."""
 
+import csv
+import json
+import re
+
 import numpy as np
 import pytest
 
 from toftools.bench.plan import make_plan
+from toftools.bench.report import report
 from toftools.bench.run import Settings, run_points
 from toftools.bench.score import score
 from toftools.bench.stability import courses, stability
@@ -14,6 +19,7 @@ from toftools.io.native import read_capture
 from toftools.metrics.interval import inside_interval
 from toftools.sensors import sensor
 from toftools.types import DepthMap, Truth
+from toftools.viz.stress import Strain, stress_svg
 
 AXIS = {
     "name": "light",
@@ -218,3 +224,28 @@ def test_a_suite_of_axes_runs_and_bad_methods_are_flagged(tmp_path, monkeypatch)
     assert found["test_stress:wild"].flags == ("unstable",)
     assert found["test_stress:boastful"].flags == ("overconfident",)
     assert found["crt:max_range_m=0"].flags == () and found["crt:max_range_m=0"].why == "own"
+    page = report(tmp_path / "out").read_text(encoding="utf-8")
+    assert "Where methods break" in page and 'id="axis-clock"' in page and "<sup>u</sup>" in page
+    assert "by how much" not in page and "NaN" not in page
+    assert "wild" in (tmp_path / "out" / "figures" / "axis-clock.svg").read_text()
+    with (tmp_path / "out" / "stability.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert [line["label"] for line in lines] == ["crt:max_range_m=0", "test_stress:wild",
+                                                 "test_stress:boastful"]  # fmt: skip
+    assert lines[1]["flags"] == "unstable"
+    kept = json.loads((tmp_path / "out" / "stability.json").read_text())
+    assert kept[0]["breaks_at"] == pytest.approx(float(lines[0]["breaks_at"]))
+
+
+# The chart
+
+
+def test_the_easiest_value_stands_on_the_left():
+    for values in ((1.0, 2.0, 40.0), (40.0, 2.0, 1.0), (0.0, 1.0, 2.0)):
+        errors = np.array([[0.01, 0.012], [0.02, 0.02], [0.3, np.inf]])
+        svg = stress_svg(values, [Strain("mine", errors)], title="t", name="n")
+        points = [float(x) for x in re.findall(r"translate\((\d+\.?\d*),", svg)]
+        assert points[:3] == sorted(points[:3]), values
+        assert "mine at 40" in svg or "mine at 2" in svg
+    nothing = stress_svg((1.0, 2.0), [Strain("mine", np.full((2, 1), np.inf))], title="t", name="n")
+    assert nothing.startswith("<svg")

@@ -143,6 +143,7 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
                 "min_range_m": suite.min_range_m,
                 "max_range_m": suite.max_range_m if math.isfinite(suite.max_range_m) else None,
             },
+            "axes": {s.axis: s.about for s in suite.sources if s.axis},
             "captures": captures,
             "points": [asdict(point) for point in plan],
         },

@@ -12,6 +12,7 @@ from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.plan import read_plan
 from toftools.bench.render import cells, headings, number
 from toftools.bench.score import read_rows
+from toftools.bench.stress_report import stress
 from toftools.bench.table import Line, groups, label_of, summarise, unsuited
 from toftools.io.atomic import atomic_path
 from toftools.registry import METRICS
@@ -39,11 +40,13 @@ def report(out: Path) -> Path:
     ValueError
         If the folder was not scored.
     """
-    rows = read_rows(out)
-    max_range_m = float(read_plan(out)[0]["mask"]["max_range_m"])
+    rows, plan = read_rows(out), read_plan(out)[0]
+    max_range_m = float(plan["mask"]["max_range_m"])
     figures = out / "figures"
     figures.mkdir(exist_ok=True)
-    sections = [_group(out, name, mine, max_range_m) for name, mine in groups(rows).items()]
+    # Captures of an axis are too many for a section each: a matrix and a curve per axis instead.
+    plain = [row for row in rows if "axis" not in row]
+    sections = [_group(out, name, mine, max_range_m) for name, mine in groups(plain).items()]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         _TEMPLATE.read_text(encoding="utf-8")
     )
@@ -51,6 +54,7 @@ def report(out: Path) -> Path:
     page = template.render(
         suite=rows[0]["suite"] if rows else "",
         sections=sections,
+        stress=stress(out, [row for row in rows if "axis" in row], plan.get("axes", {})),
         counts=_counts(rows),
         machine=timed[0]["machine"] if timed else {},
         versions=timed[0]["versions"] if timed else {},

@@ -33,6 +33,8 @@ class Source:
         Stress axis that the scene is a point of; empty for none.
     value : float
         Where on it.
+    about : str
+        What the axis is, with its unit.
     """
 
     text: str
@@ -46,6 +48,7 @@ class Source:
     seed: int = 0
     axis: str = ""
     value: float = 0.0
+    about: str = ""
 
 
 def check_keys(table: Mapping[str, Any], known: Collection[str], where: str) -> None:

@@ -118,6 +118,8 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
         msg = f"axis {name} of {where} needs a scene and a sensor, got {sorted(entry)}"
         raise ValueError(msg)
     columns = {key: entry[key] for key in entry if key not in _KEYS}
+    unit = str(entry.get("unit", ""))
+    about = str(entry.get("about", name)) + (f", {unit}" if unit else "")
     for number, value in enumerate(entry["values"]):
         row = {"value": value, **{key: column[number] for key, column in columns.items()}}
         filled = {key: _filled(text, row, name, where) for key, text in texts.items()}
@@ -127,7 +129,7 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
         for seed in range(entry.get("seeds", 3)):
             yield Source(
                 filled["scene"], f"{GROUP}{name}", None, filled["sensor"], engine, tol_mm,
-                claimed=filled["claimed"], seed=seed, axis=name, value=float(value),
+                claimed=filled["claimed"], seed=seed, axis=name, value=float(value), about=about,
             )  # fmt: skip
 
 

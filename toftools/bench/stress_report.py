@@ -1,0 +1,144 @@
+"""The stress axes of a report: a matrix of methods and axes, a curve for each, and a table of all.
+
+``DIR/stability.csv`` and ``DIR/stability.json`` hold the same figures for programs.
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toftools.bench.render import number
+from toftools.bench.stability import Course, Stability, courses, stability
+from toftools.io.atomic import atomic_path
+from toftools.viz.stress import Strain, stress_svg
+
+INPUT = "uncorrected input"
+ORANGE, PALE, BLUE = (213, 94, 0), (247, 245, 240), (0, 114, 178)
+"""Colours of nothing survived, half of the axis, all of it; told apart by all eyes."""
+WHY = {
+    "input": "it errs more than the uncorrected input",
+    "own": "it errs twice as much as where the axis is easiest",
+    "no answer": "it answers less than half of the pixels, or fails",
+    "": "it does not break on this axis",
+}
+
+
+def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]) -> dict[str, Any]:
+    """What the report shows of the stress axes; writes figures and tables beside it.
+
+    Parameters
+    ----------
+    out : Path
+        Benchmark folder.
+    rows : sequence of mapping
+        Rows of results with an axis.
+    axes : mapping of str to str
+        What each axis is, with its unit.
+
+    Returns
+    -------
+    dict
+        For the template; empty without rows.
+    """
+    found = [(course, stability(course)) for course in courses(rows)]
+    if not found:
+        return {}
+    _write_tables(out, [told for _, told in found])
+    names = list(dict.fromkeys(course.axis for course, _ in found))
+    labels = list(dict.fromkeys(course.label for course, _ in found))
+    cells = {(told.axis, told.label): told for _, told in found}
+    return {
+        "axes": [{"name": name, "id": _slug(name)} for name in names],
+        "methods": [
+            {"label": label, "cells": [_cell(cells.get((name, label))) for name in names]}
+            for label in labels
+        ],
+        "curves": [_curves(out, name, found, axes.get(name, "")) for name in names],
+    }
+
+
+def _cell(told: Stability | None) -> dict[str, str]:
+    """One field of the matrix."""
+    if told is None:
+        return {"text": "–", "style": "", "tip": "does not apply", "flags": ""}
+    text = "holds" if told.breaks_at is None else number(told.breaks_at, 1, ".3g")
+    ends = [number(end, 1, ".3g") if end is not None else "beyond" for end in (told.low, told.high)]
+    tip = f"{told.label} on {told.axis}: {WHY[told.why]}"
+    if told.breaks_at is not None:
+        tip += f" from {text} (95 %: {ends[0]} to {ends[1]})"
+    tip += f"; benign error {number(told.benign_m, 100)} cm"
+    if math.isfinite(told.inside_68):
+        tip += f"; within one sigma {told.inside_68:.0%}, within 95 % {told.inside_95:.0%}"
+    if told.flags:
+        tip += "; " + ", ".join(told.flags)
+    marks = {"unstable": "u", "overconfident": "o", "fails": "f"}
+    return {"text": text, "style": _colour(told.share), "tip": tip,
+            "flags": "".join(marks[flag] for flag in told.flags)}  # fmt: skip
+
+
+def _colour(share: float) -> str:
+    """Background and ink for a part of an axis that was survived."""
+    first, second, part = (ORANGE, PALE, 2 * share) if share < 0.5 else (PALE, BLUE, 2 * share - 1)
+    mixed = [round(a + part * (b - a)) for a, b in zip(first, second, strict=True)]
+    ink = "#fff" if abs(share - 0.5) > 0.35 else "#1d2330"
+    return f"background:rgb({mixed[0]},{mixed[1]},{mixed[2]});color:{ink}"
+
+
+def _curves(
+    out: Path, name: str, found: Sequence[tuple[Course, Stability]], about: str
+) -> dict[str, Any]:
+    """Chart and table of one axis."""
+    mine = [(course, told) for course, told in found if course.axis == name]
+    longest = max(mine, key=lambda pair: pair[0].values.size)[0]
+    strains = [Strain(INPUT, longest.input_m)]
+    strains += [Strain(c.label, c.error_m, t.breaks_at) for c, t in mine
+                if c.values.size == longest.values.size]  # fmt: skip
+    svg = stress_svg(longest.values.tolist(), strains, title=name, name=about or name)
+    (out / "figures" / f"axis-{_slug(name)}.svg").write_text(svg, encoding="utf-8")
+    head = ["method", "benign cm", "breaks at", "95 % from", "to", "cm per unit", "in 68 %",
+            "in 95 %", "worst 1 % benign, cm", "warnings"]  # fmt: skip
+    body = [
+        [t.label, number(t.benign_m, 100), number(t.breaks_at, 1, ".3g"),
+         number(t.low, 1, ".3g"), number(t.high, 1, ".3g"), number(t.slope_m, 100, ".3g"),
+         number(t.inside_68, 100, ".0f"), number(t.inside_95, 100, ".0f"),
+         number(_benign(c.worst_m), 100), ", ".join((*t.flags, *c.failures))]
+        for c, t in mine
+    ]  # fmt: skip
+    return {"name": name, "id": _slug(name), "about": about, "svg": svg,
+            "table": {"head": head, "rows": body}}  # fmt: skip
+
+
+def _benign(figures: Any) -> float | None:  # noqa: ANN401 - an array
+    """Mean over the seeds of the easiest value."""
+    first = figures[0][np.isfinite(figures[0])]
+    return float(first.mean()) if first.size else None
+
+
+def _slug(name: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in name)
+
+
+def _write_tables(out: Path, told: Sequence[Stability]) -> None:
+    """All figures as CSV and JSON; what is not finite is empty there, null here."""
+    lines = [
+        {key: None if isinstance(v, float) and not math.isfinite(v) else v
+         for key, v in asdict(one).items()}
+        for one in told
+    ]  # fmt: skip
+    with atomic_path(out / "stability.json") as path:
+        path.write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
+    table = io.StringIO()
+    writer = csv.DictWriter(table, [field.name for field in fields(Stability)])
+    writer.writeheader()
+    writer.writerows(
+        [{**line, "flags": " ".join(one.flags)} for line, one in zip(lines, told, strict=True)]
+    )
+    with atomic_path(out / "stability.csv") as path:
+        path.write_text(table.getvalue(), encoding="utf-8")
