@@ -1,9 +1,9 @@
 """Along a stress axis: where a method breaks, how steeply it errs, whether its sigma stays honest.
 
-A method breaks at the first value where its error exceeds that of the uncorrected input, or twice
-its own error at the easiest value, or where it answers less than half of the pixels. Between two
-values the place is interpolated; its interval comes from drawing the seeds again (bootstrap). What
-failed, crashed or ran out of time counts as broken there: nothing is dropped.
+A method breaks at the first value where its error exceeds that of the uncorrected input (by a
+tenth), or twice its own at the easiest value, or where it answers less than half of the pixels.
+Between two values the place is interpolated; its interval comes from drawing the seeds again
+(bootstrap). What failed, crashed or ran out of time counts as broken there: nothing is dropped.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ from toftools.types import F64
 
 WORSE = 2.0
 """Times its own benign error from which a method counts as broken."""
-SLACK = 1.02
+SLACK = 1.1
 """Error over that of the input that still counts as no worse: methods that only unwrap equal it."""
 LEAST_VALID = 0.5
 DRAWS = 400
@@ -161,6 +161,7 @@ def stability(course: Course) -> Stability:
         Its figures.
     """
     place, why = _place(course, np.arange(course.error_m.shape[1]))
+    why = why if np.isfinite(place) else ""
     low, high = _interval(course)
     last = course.values.size - 1
     easy = course.inside[:BENIGN]
@@ -187,17 +188,20 @@ def _place(course: Course, seeds: Any) -> tuple[float, str]:  # noqa: ANN401 - a
             "input": np.nan_to_num(error / (SLACK * raw), nan=0.0, posinf=np.inf),
             "own": error / (WORSE * error[0]) if 0 < error[0] < np.inf else np.zeros_like(error),
         }
-    worst = np.max(list(beyond.values()), axis=0)
-    broken = np.flatnonzero(worst > 1)
+    return min((_crossing(ratio), why) for why, ratio in beyond.items())
+
+
+def _crossing(ratio: F64) -> float:
+    """Where a ratio first passes 1, in steps, linear in its logarithm; inf if nowhere."""
+    broken = np.flatnonzero(ratio > 1)
     if not broken.size:
-        return np.inf, ""
+        return np.inf
     at = int(broken[0])
-    why = max(beyond, key=lambda name: float(beyond[name][at]))
     if at == 0:
-        return 0.0, why
-    before, after = np.log(max(worst[at - 1], 1e-3)), np.log(worst[at])
+        return 0.0
+    before, after = np.log(max(ratio[at - 1], 1e-3)), np.log(ratio[at])
     part = -before / (after - before) if np.isfinite(after) else 0.5
-    return at - 1 + float(np.clip(part, 0, 1)), why
+    return at - 1 + float(np.clip(part, 0, 1))
 
 
 def _interval(course: Course) -> tuple[float, float]:
