@@ -12,7 +12,7 @@ from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
 _KEYS = ("name", "captures", "scenes", "sensor", "engine", "tol_mm", "methods", "grid", "repeats",
-         "mask")  # fmt: skip
+         "batch", "mask")  # fmt: skip
 _SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
 
 
@@ -65,6 +65,8 @@ class Suite:
         Method or filter to parameter to values; replaces the registry's grid.
     repeats : int
         Timed runs per point.
+    batch : bool
+        Points of one method share a process.
     min_range_m, max_range_m : float
         Truth outside is not scored.
     """
@@ -75,6 +77,7 @@ class Suite:
     methods: tuple[str, ...]
     grid: Mapping[str, Mapping[str, tuple[Any, ...]]] = field(default_factory=dict)
     repeats: int = 11
+    batch: bool = False
     min_range_m: float = 0.0
     max_range_m: float = float("inf")
 
@@ -155,6 +158,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
             for dials in [_table(grid, name, where)]
         },
         repeats=repeats,
+        batch=_flag(table, "batch", where),
         min_range_m=low,
         max_range_m=high,
     )
@@ -189,6 +193,14 @@ def _number(table: Mapping[str, Any], key: str, default: float, where: str) -> f
         msg = f"{key} in {where} must be a number, got {value!r}"
         raise ValueError(msg)
     return float(value)
+
+
+def _flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        msg = f"{key} in {where} must be true or false, got {value!r}"
+        raise ValueError(msg)
+    return value
 
 
 def _files(entries: list[Any], where: str) -> Iterator[Source]:
