@@ -72,6 +72,7 @@ def on_cluster(
                 got: Result | str = future.result()
             except Exception as error:  # lost, cancelled, or its workers keep dying
                 got = " ".join(str(error).split()) or type(error).__name__
+            future.release()  # or it is run again when the worker that keeps it dies
             yield by_key[future.key], got
 
 

@@ -157,14 +157,16 @@ def _begin(task: Task, out: Path, file: Path, settings: Settings, stamp: dict[st
 def _look(shift: _Shift, settings: Settings, stamp: dict[str, Any], told: Told) -> Task | None:
     """Note what is finished; what is left of the task if its worker is at its end."""
     wrong = trouble(shift.worker, settings.timeout_s, settings.memory_mb or float("inf"))
-    points = shift.task.points
+    points, before = shift.task.points, shift.done
     while shift.done < len(points) and (result := read_result(shift.results, points[shift.done])):
         _tell(shift, str(result["status"]), told)
-    if wrong is None and shift.done < len(points):
+    alive = wrong is None or wrong[0] != "crashed"
+    # What was wrong while a point was being finished is not held against the next one.
+    if shift.done < len(points) and alive and (wrong is None or shift.done > before):
         return None
     # A worker without work is not waited for: threads that a method left might never end.
     end(shift.worker)
-    if wrong is not None and shift.done < len(points):
+    if wrong is not None and shift.done == before:
         failure = {"status": wrong[0], "error": wrong[1], **stamp}
         failure["fingerprint"] = shift.task.fingerprint
         write_json(result_path(shift.results, points[shift.done]), failure)
@@ -176,3 +178,4 @@ def _tell(shift: _Shift, status: str, told: Told) -> None:
     if not shift.task.untimed:
         told(shift.task.points[shift.done], status)
     shift.done += 1
+    shift.worker.since_s = time.monotonic()  # the next one's time begins

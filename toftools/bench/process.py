@@ -24,6 +24,7 @@ THREAD_VARIABLES = (
 )
 KEPT_BYTES = 4096
 """How much of what a worker prints is kept: enough for its last line."""
+LINE_CHARS = 400
 
 
 @dataclass
@@ -132,7 +133,7 @@ def _last_words(worker: Worker, code: int) -> str:
     if code < 0:
         with contextlib.suppress(ValueError):
             name = f" ({signal.Signals(-code).name})"
-    return f"exit code {code}{name}: {lines[-1][:300] if lines else 'no message'}"
+    return f"exit code {code}{name}: {lines[-1][:LINE_CHARS] if lines else 'no message'}"
 
 
 def end(worker: Worker) -> None:
