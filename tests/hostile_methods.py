@@ -146,6 +146,16 @@ def replaces(sensor):
     return run
 
 
+def naps(sensor, *, number=0):
+    """Slow, within the limit of one point."""
+
+    def run(phasors):
+        time.sleep(0.4)
+        return _flat(phasors)
+
+    return run
+
+
 def never_ends(sensor):
     """A right answer, and a thread that keeps the process alive."""
     import threading

@@ -109,6 +109,15 @@ def test_in_a_batch_only_the_point_under_way_suffers(folder):
     assert again == [("none", "kept"), ("last", "kept"), *log[1:-1]]
 
 
+def test_the_limit_of_time_is_per_point_in_a_batch_too(folder):
+    numbers = list(range(4))  # 1.6 s each: together more than the limit
+    plan = planned(folder, ["harm:naps"], f"[grid.'harm:naps']\nnumber = {numbers}\n")
+    log = []
+    settings = Settings(3, 1, 5.0, batch=True)
+    run_points(plan, folder / "out", settings, lambda p, s: log.append((p.params["number"], s)))
+    assert log == [(number, "ok") for number in numbers]
+
+
 def test_an_answer_is_read_once_and_rebuilt():
     class Sub(DepthMap):
         pass
