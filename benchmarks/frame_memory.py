@@ -48,7 +48,7 @@ def measure(name, text, side):
     """One entry in this process: seconds, bytes per pixel, share of pixels with an answer."""
     import numpy as np
 
-    from toftools.bench.worker import forget_peak, resident_mb
+    from toftools.bench.memory import forget_peak, resident_mb
     from toftools.registry import CORRECTIONS, FILTERS
     from toftools.sensors import sensor
     from toftools.types import DepthMap, Phasors

@@ -8,6 +8,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,7 @@ def capture_digest(capture: Capture) -> str:
     return digest(*parts, *(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 
-def point_fingerprint(*targets: str, repeats: int, threads: int) -> str:
+def point_fingerprint(*targets: str, repeats: int, threads: int, company: Mapping[str, Any]) -> str:
     """What a point's stored result must match to be kept.
 
     Parameters
@@ -109,10 +110,12 @@ def point_fingerprint(*targets: str, repeats: int, threads: int) -> str:
         ``module:function`` of the method, or of every step of a chain.
     repeats, threads : int
         Timed calls, and threads the method may use.
+    company : mapping
+        What runs beside the point or ran before it in its process: JSON values.
 
     Returns
     -------
     str
         Digest; the capture and the parameters are in the point's key.
     """
-    return digest(package_digest(), *map(method_digest, targets), repeats, threads)
+    return digest(package_digest(), *map(method_digest, targets), repeats, threads, dict(company))

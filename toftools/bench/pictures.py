@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from toftools.bench.plan import Point
-from toftools.bench.run import read_result, result_path
+from toftools.bench.results import read_result, result_path
 from toftools.bench.score import read_answer, reference_of, uncorrected
 from toftools.bench.table import label_of
 from toftools.camera import points

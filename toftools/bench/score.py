@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from toftools.bench.plan import Point, read_plan
-from toftools.bench.run import read_result, result_path
+from toftools.bench.results import read_result, result_path
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.metrics.coverage import coverage_curve

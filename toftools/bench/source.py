@@ -84,3 +84,12 @@ def number_of(table: Mapping[str, Any], key: str, default: float, where: str) ->
         msg = f"{key} in {where} must be a number, got {value!r}"
         raise ValueError(msg)
     return float(value)
+
+
+def flag_of(table: Mapping[str, Any], key: str, where: str) -> bool:
+    """A flag of a table, false if it is not there; ValueError for anything else."""
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        msg = f"{key} in {where} must be true or false, got {value!r}"
+        raise ValueError(msg)
+    return value

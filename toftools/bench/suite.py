@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from toftools.bench.methods import method_of, specs_of
-from toftools.bench.source import Source, check_keys, list_of, number_of, table_of
+from toftools.bench.source import (
+    Source,
+    check_keys,
+    flag_of,
+    list_of,
+    number_of,
+    table_of,
+)
 from toftools.bench.stress import axis_sources
 from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
 _KEYS = ("name", "captures", "scenes", "axis", "sensor", "engine", "tol_mm", "methods", "grid",
-         "repeats", "mask")  # fmt: skip
+         "repeats", "batch", "mask")  # fmt: skip
 _SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
 
 
@@ -36,6 +43,8 @@ class Suite:
         Method or filter to parameter to values; replaces the registry's grid.
     repeats : int
         Timed runs per point.
+    batch : bool
+        Points of one method share a process.
     min_range_m, max_range_m : float
         Truth outside is not scored.
     """
@@ -46,6 +55,7 @@ class Suite:
     methods: tuple[str, ...]
     grid: Mapping[str, Mapping[str, tuple[Any, ...]]] = field(default_factory=dict)
     repeats: int = 11
+    batch: bool = False
     min_range_m: float = 0.0
     max_range_m: float = float("inf")
 
@@ -130,6 +140,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
             for dials in [table_of(grid, name, where)]
         },
         repeats=repeats,
+        batch=flag_of(table, "batch", where),
         min_range_m=low,
         max_range_m=high,
     )

@@ -5,9 +5,13 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from toftools.bench.settings import Settings
+    from toftools.bench.suite import Suite
 
 
 class _AllByDefault(click.Group):
@@ -38,6 +42,14 @@ _RUN_OPTIONS: list[Callable[[Any], Any]] = [
                  show_default="all cores", help="Threads each method may use."),
     click.option("--timeout", "timeout_s", type=click.FloatRange(0.1, 1e6), default=900.0,
                  show_default=True, help="Seconds one point may take."),
+    click.option("--memory-mb", type=click.FloatRange(1), default=None,
+                 show_default="nine tenths of the machine",
+                 help="Memory the process of a method may hold."),
+    click.option("--jobs", type=click.IntRange(min=1), default=None, show_default="1",
+                 help="Points at once, each with --threads; more than one, and times are those of "
+                 "a busy machine."),
+    click.option("--dask", metavar="ADDRESS", default=None,
+                 help="Run on the Dask cluster of this scheduler instead; its workers see DIR."),
 ]  # fmt: skip
 
 
@@ -101,17 +113,20 @@ def _status(counts: dict[str, int]) -> int:
 
 
 def _run(
-    suite: str, out: Path, methods: tuple[str, ...], threads: int, timeout_s: float
+    suite: str,
+    out: Path,
+    methods: tuple[str, ...],
+    **options: Any,  # noqa: ANN401
 ) -> dict[str, int]:
     """Run what is not finished; number of points by status."""
     from toftools.bench.plan import Point, make_folders, make_plan
-    from toftools.bench.run import Settings, only_run, run_points
+    from toftools.bench.run import only_run, run_points
     from toftools.bench.suite import load_suite
     from toftools.bench.table import label_of
     from toftools.cli._progress import progress as shown
 
     loaded = load_suite(suite)
-    settings = Settings(loaded.repeats, threads, timeout_s)
+    settings = _settings(loaded, **options)
     counts: dict[str, int] = {}
     make_folders(out)
     with only_run(out):
@@ -131,6 +146,21 @@ def _run(
 
             run_points(plan, out, settings, progress)
     return counts
+
+
+def _settings(
+    suite: "Suite", *, threads: int, timeout_s: float, memory_mb: float | None, jobs: int | None,
+    dask: str | None,
+) -> "Settings":  # fmt: skip
+    from toftools.bench.run import Settings
+
+    if dask is not None and jobs is not None:
+        msg = "got --jobs and --dask; a cluster has its own number of workers, leave --jobs out"
+        raise ValueError(msg)
+    return Settings(
+        suite.repeats, threads, timeout_s, jobs=jobs or 1, batch=suite.batch,
+        memory_mb=memory_mb, cluster=dask or "",
+    )  # fmt: skip
 
 
 def _score(out: Path, *, as_json: bool) -> None:

@@ -119,7 +119,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Simulate a capture of SCENE, such as corner:angle=90,range=2 or a scene file."""
-    from toftools.bench.worker import resident_mb
+    from toftools.bench.memory import resident_mb
     from toftools.cli._progress import progress
     from toftools.io.native import write_capture
     from toftools.sensors import sensor

@@ -17,7 +17,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from toftools.bench.run import only_run
+from toftools.bench.results import only_run
 from toftools.dataset import manifest
 from toftools.dataset.manifest import Entry
 from toftools.dataset.recipe import Job, Recipe

@@ -7,19 +7,17 @@ follow from the job, so that a job run twice does no harm.
 """
 
 import os
-import uuid
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing import get_context
 
 from toftools._native import limit_threads
+from toftools.bench.cluster import on_cluster
 from toftools.dataset.make import Pool, Work
 from toftools.dataset.manifest import Entry
 from toftools.dataset.recipe import Job
-
-RETRIES = 3
-"""How often a cluster tries a job that raised again."""
 
 
 def cores() -> int:
@@ -105,37 +103,13 @@ def over_cluster(address: str) -> Pool:
     Returns
     -------
     callable
-        A pool.
-
-    Raises
-    ------
-    ValueError
-        If Dask is missing, or no scheduler answers.
+        A pool. It raises ValueError if Dask is missing, or no scheduler answers.
     """
-    try:
-        from distributed import Client, as_completed
-    except ImportError as error:
-        msg = "--dask needs Dask: pip install 'toftools[cluster]'"
-        raise ValueError(msg) from error
 
     def pool(work: Work, jobs: Sequence[Job]) -> Iterator[Entry]:
-        try:
-            client = Client(address, timeout="10s")
-        except (OSError, ValueError) as error:
-            msg = f"no Dask scheduler answers at {address}: {error}"
-            raise ValueError(msg) from error
-        run = uuid.uuid4().hex  # a cluster runs a key only once, whoever asks for it
-        with client:
-            by_key = {f"{job.id}-{run}": job for job in jobs}
-            futures = client.map(
-                _on_worker, [work] * len(jobs), list(jobs), key=list(by_key), retries=RETRIES
-            )
-            for future in as_completed(futures):
-                try:
-                    yield future.result()
-                except Exception as error:  # lost, cancelled, or its workers keep dying
-                    said = " ".join(str(error).split()) or type(error).__name__
-                    yield {"id": by_key[future.key].id, "error": said}
+        names = [job.id for job in jobs]
+        for job, got in on_cluster(address, partial(_on_worker, work), jobs, names):
+            yield {"id": job.id, "error": got} if isinstance(got, str) else got
 
     return pool
 
