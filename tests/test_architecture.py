@@ -24,8 +24,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the bottom of the house to the top; a file imports only what stands before it.
 LAYERS = [
     "units", "_arrays", "_lens", "electronics", "device", "types", "tap_noise", "phasor", "crlb",
-    "camera", "transient", "_params", "_recipe_file", "conditions", "registry", "chain", "_overrides", "sensors",
-    "_native", "_turns", "_transfer", "io", "sim", "calib", "correct",
+    "camera", "transient", "_params", "_recipe_file", "conditions", "registry", "chain",
+    "_overrides", "sensors", "_native", "_turns", "_transfer", "io", "sim", "calib", "correct",
     "filter", "metrics", "viz", "bench", "dataset", "train", "cli", "__main__",
 ]  # fmt: skip
 # _overrides reads waveforms by name and sits below sim for that one function-level import.

@@ -43,7 +43,7 @@ def test_never_worse_than_doing_nothing_on_rendered_scenes(path):
 @pytest.mark.parametrize("name", ["corner-angle-90-range-2-albedo-0.8", "vshape", "room-seed-5"])
 def test_bounced_light_is_taken_out_where_there_is_some(name):
     capture = read_capture(next(p for p in FIRST if p.stem == name))
-    ours, plain = both(capture)
+    ours, plain = both(capture, learned="none")
     assert mae_m(ours, capture) < 0.65 * mae_m(plain, capture)
     assert ours.info["shares"]["bounced light"] > 0.8
     assert "falls to" in ours.info["why"]["bounced light"]
@@ -75,14 +75,37 @@ def test_two_returns_are_found_and_sigma_holds():
 
 
 def test_light_from_surfaces_out_of_view_changes_nothing_but_sigma():
-    """A sphere around the camera, of which it sees a part: no model is right."""
+    """A sphere around the camera, of which it sees a part: no model of physics is right."""
     capture = made("cavity", {"radius": 2.0, "albedo": 0.5}, sensor("opt8241:width=48,height=36"))
-    ours, plain = both(capture)
+    ours, plain = both(capture, learned="none")
     assert mae_m(ours, capture) <= mae_m(plain, capture)
     assert ours.info["shares"]["one return"] == 1
     error = np.abs(ours.range_m - capture.truth.range_m)
     assert (error < 3 * ours.sigma_m).mean() > 0.95
     assert (error < 3 * plain.sigma_m).mean() < 0.9
+
+
+def sure(device, *, sigma_m: float = 0.01):
+    """A learned method that is right about the cavity, and says how sure it is."""
+
+    def run(phasors):
+        shape = phasors.valid.shape
+        return DepthMap(np.full(shape, 2.0), sigma_m=np.full(shape, sigma_m))
+
+    return run
+
+
+def test_a_learned_answer_counts_where_it_is_surer_than_what_it_changes():
+    """The cavity's light comes from all around: frequencies agree, and all read 18 mm too far."""
+    hidden = made("cavity", {"radius": 2.0, "albedo": 0.5}, sensor("opt8241:width=48,height=36"))
+    plain, _ = both(hidden, learned="none")
+    away = mae_m(plain, hidden)
+    taken, _ = both(hidden, learned=f"test_auto:sure:sigma_m={away / 5}")
+    assert taken.info["shares"]["learned"] > 0.9 and mae_m(taken, hidden) < 0.2 * away
+    unsure, _ = both(hidden, learned="test_auto:sure:sigma_m=1.0")
+    assert unsure.info["shares"]["learned"] == 0
+    assert np.array_equal(unsure.sigma_m, plain.sigma_m)
+    assert "below what it changes" in taken.info["why"]["learned"]
 
 
 def oracle(device, *, range_m: float = 2.0):
@@ -105,7 +128,7 @@ def test_one_frequency_trusts_amplitudes_only_in_the_unit_of_the_sensor():
     device = sensor("deeptof:width=48,height=48")
     capture = made("corner", {"angle": 90.0, "range": 2.0, "albedo": 0.8}, device)
     frame = phasors_of(capture)
-    run, plain = auto(device), crt(device)(frame)
+    run, plain = auto(device, learned="none"), crt(device)(frame)
     assert mae_m(run(frame), capture) < 0.6 * mae_m(plain, capture)
     weak = run(Phasors(frame.values * np.float32(1e-4), frame.sigma * np.float32(1e-4)))
     assert np.allclose(weak.range_m, plain.range_m, atol=1e-4)

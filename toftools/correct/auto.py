@@ -12,9 +12,10 @@ and a richer model must earn its place:
   nearly all of it, the nearer one is no brighter than white, and its own uncertainty is smaller
   than what it changes.
 - *learned* (`network`, if the package has one for these frequencies) where its own sigma is smaller
-  than what has been decided till then can promise: all that residuals and rejected models leave
-  open is in that sigma. A learned method without a sigma is asked only where the frame still
-  disagrees with itself, which takes several frequencies.
+  than what it changes, or clearly than what has been decided till then can promise: light from out
+  of view need not disagree with itself, so that the models above cannot see it in the phases, and
+  what has learned how rooms go on can. A learned method without a sigma is asked only where the
+  frame still disagrees with itself, which takes several frequencies.
 
 Where the evidence is weak the single return stays, and sigma grows by what the rejected model would
 have changed; unexplained residuals widen it too. Reference: model selection by chi-squared and the
@@ -44,6 +45,8 @@ TRANSPORT_ERROR = 0.3
 """Share of its correction that bounced light may be wrong by: surfaces out of view, normals."""
 WHITE = 1.3
 """Largest albedo of a surface; above 1 for noise and slanted light."""
+CLEARLY = 0.8
+"""Sigma of a learned answer over that of the cheaper one, below which it is clearly smaller."""
 LEAST_ALBEDO = 0.02
 """Median albedo below which amplitudes cannot be in the sensor's unit: the strength of bounced
 light is then fitted to the agreement of the frequencies."""
@@ -84,7 +87,8 @@ def auto(
     callable
         ``run(Phasors) -> DepthMap``. ``info``: `status`; `model` (H, W), index into `models`;
         `residual` (H, W), what the chosen model leaves per degree of freedom in the neighbourhood
-        (1 is noise); `why`, one sentence per model that was tried; `shares`, pixels per model.
+        (1 is noise; of a learned answer, what the model before it leaves); `why`, one sentence per
+        model that was tried; `shares`, pixels per model.
 
     Raises
     ------
@@ -241,7 +245,7 @@ def _learned(
     phasors: Phasors, method: Callable[[Phasors], DepthMap], usable: Bool, choice: Choice,
     dof: int, why: dict[str, str],
 ) -> Choice:  # fmt: skip
-    """The learned answer where it promises more, or where the frame disagrees with itself."""
+    """The learned answer where it is sure enough, or where the frame disagrees with itself."""
     tried = method(phasors)
     given = usable & np.isfinite(tried.range_m)
     spread, need = spread_of(choice, usable, dof)
@@ -249,8 +253,10 @@ def _learned(
         taken, sigma_m = given & (need > UNEXPLAINED) & (choice.model != TWO), spread
         said = "unexplained till then"
     else:
-        taken, sigma_m = given & (tried.sigma_m < spread), tried.sigma_m
-        said = "where its sigma is the smallest"
+        sigma_m = tried.sigma_m
+        change = np.abs(tried.range_m - choice.range_m)
+        taken = given & ((sigma_m < CLEARLY * spread) | (sigma_m < change))
+        said = "where its sigma is below what it changes, or clearly the smallest"
     share = float(taken.sum() / max(int(usable.sum()), 1))
     why[MODELS[LEARNED]] = f"taken in {share:.0%} of the frame, {said}"
     other = Explained(tried.range_m, choice.chi2, sigma_m)

@@ -27,8 +27,8 @@ from toftools.correct._net_coarse import SHIFT_M, STEP
 from toftools.correct._net_engine import Engine, engine, tiled
 from toftools.correct._net_file import WEIGHTS, Card, as_mapping, fitted, read_card, shipped, wanted
 from toftools.correct._net_inputs import View, ranges, seen, view_of
-from toftools.types import F32, Bool, DepthMap, Modulation, Phasors, Sensor
-from toftools.units import joint_ambiguity_m
+from toftools.types import C64, F32, Bool, DepthMap, Modulation, Phasors, Sensor
+from toftools.units import TWO_PI, joint_ambiguity_m
 
 U8 = NDArray[np.uint8]
 WIDEST = 6.0
@@ -50,7 +50,8 @@ def network(sensor: Sensor, *, model: str = "") -> Callable[[Phasors], DepthMap]
     Returns
     -------
     callable
-        ``run(Phasors) -> DepthMap``. `sigma_m` as the network says (none for the kind `range`);
+        ``run(Phasors) -> DepthMap``. `sigma_m` as the network says, and no less than the noise of
+        the phasors, where that is known, leaves open (none for the kind `range`);
         ``info``: `status`; `candidate` (H, W), which of the likeliest ranges it took; `shift_m`
         (H, W), what it added to that; `network`: name, licence, digest of the training recipe.
 
@@ -85,7 +86,8 @@ def network(sensor: Sensor, *, model: str = "") -> Callable[[Phasors], DepthMap]
             views.clear()
             camera = resized(sensor.camera, shape[1], shape[0])
             views[shape] = view_of(replace(bare, camera=camera), metre, longest_m)
-        frame = phasors if in_order else Phasors(phasors.values[order], valid=phasors.valid)
+        sigma = None if phasors.sigma is None else phasors.sigma[order]
+        frame = phasors if in_order else Phasors(phasors.values[order], sigma, phasors.valid)
         return answer(frame, views[shape], card, net)
 
     warm_up(run, len(order))
@@ -123,8 +125,10 @@ def _from_phasors(phasors: Phasors, view: View, card: Card, net: Engine) -> Dept
     shape = looked.valid.shape
     range_m, sigma_m, shift_m = (np.empty(shape, np.float32) for _ in range(3))
     which, good = np.empty(shape, np.uint8), np.empty(shape, np.bool_)
+    sigma = np.empty((0, *shape), np.float32) if phasors.sigma is None else phasors.sigma
     _answer(
         kernel_input(out), kernel_input(looked.candidates_m), kernel_input(looked.valid),
+        kernel_input(phasors.values), kernel_input(sigma), view.turns_per_m,
         np.float32(SHIFT_M / view.metre), np.float32(looked.longest_m), range_m, sigma_m, shift_m,
         which, good,
     )  # fmt: skip
@@ -140,11 +144,12 @@ def _from_phasors(phasors: Phasors, view: View, card: Card, net: Engine) -> Dept
 
 @njit(parallel=True, cache=True)  # type: ignore[untyped-decorator]  # numba has no types
 def _answer(
-    out: F32, candidates: F32, valid: Bool, unit: np.float32, longest: np.float32,
-    range_m: F32, sigma_m: F32, shift_m: F32, which: U8, good: Bool,
+    out: F32, candidates: F32, valid: Bool, values: C64, sigma: F32, turns_per_m: F32,
+    unit: np.float32, longest: np.float32, range_m: F32, sigma_m: F32, shift_m: F32, which: U8,
+    good: Bool,
 ) -> None:  # fmt: skip
     """Read the network's output: the first candidate has a logit of zero."""
-    root2 = np.float32(np.sqrt(2))
+    root2, turn = np.float32(np.sqrt(2)), np.float32(TWO_PI)
     for v in prange(valid.shape[0]):
         for u in range(valid.shape[1]):
             chosen, best = 0, np.float32(0)
@@ -159,8 +164,14 @@ def _answer(
             if good[v, u]:
                 range_m[v, u] = min(max(found, np.float32(0)), longest)
                 scale = min(max(out[1, v, u], np.float32(-WIDEST)), np.float32(WIDEST))
-                # Standard deviation of a Laplace distribution of that scale.
-                sigma_m[v, u] = root2 * unit * np.exp(scale)
+                # Standard deviation of a Laplace distribution of that scale; but a range follows
+                # the phases of its own pixel, and is no better than those (Cramer-Rao bound).
+                known = np.float32(1e-30)
+                for f in range(sigma.shape[0]):
+                    snr = abs(values[f, v, u]) / max(sigma[f, v, u], np.float32(1e-30))
+                    known += (turn * turns_per_m[f] * snr) ** 2
+                least = np.float32(0) if sigma.shape[0] == 0 else 1 / np.sqrt(known)
+                sigma_m[v, u] = max(root2 * unit * np.exp(scale), least)
 
 
 def _from_range(phasors: Phasors, view: View, card: Card, net: Engine) -> DepthMap:
