@@ -11,11 +11,19 @@ Made by `python benchmarks/learned.py`; do not edit.
 USE = """## What they are for
 Ranges of diffuse and slightly glossy scenes of 0.3 to 12 m, seen by one camera whose light sits at
 the camera: `toftools correct CAPTURE -m network`, or `auto`, which takes their answer where their
-sigma is smaller than that of the physical models. Nothing in them knows persons; they were trained
+sigma is below what it changes. Nothing in them knows persons; they were trained
 on simulated furniture alone. Not for safety: nothing here is certified, and sigma is that of scenes
 like those of training.
 
 ## Where they fail
+- Wrong turns: which candidate is right is a choice, and sigma is that of a right choice. On frames
+  of another renderer about one pixel in a hundred is a turn off ([index](index.md)), more than with
+  `semi_global` there.
+- `phasornet_20` in rooms whose range is off by more than half a metre everywhere: with one
+  frequency the same network that takes nearly two thirds from the error of furnished rooms leaves
+  more there than `deeptof2017` does.
+- Frames of fewer than some 100 columns: the network knows no such small pictures.
+- Slanted walls in the distance, where noise rules, gain nothing.
 - Mirrors, glass, light through thin things, a second camera: none was in training.
 - Surfaces out of view that are brighter or nearer than those of the training's rooms.
 - Amplitudes that are not proportional to the light (calibrate them first): the pattern of

@@ -17,6 +17,7 @@ import numpy as np
 from toftools.bench.render import number
 from toftools.bench.stability import Course, Stability, courses, stability
 from toftools.io.atomic import atomic_path
+from toftools.viz._axes import number as written
 from toftools.viz.stress import Strain, stress_svg
 
 INPUT = "uncorrected input"
@@ -68,8 +69,8 @@ def _cell(told: Stability | None) -> dict[str, str]:
     """One field of the matrix."""
     if told is None:
         return {"text": "–", "style": "", "tip": "does not apply", "flags": ""}
-    text = "holds" if told.breaks_at is None else number(told.breaks_at, 1, ".3g")
-    ends = [number(end, 1, ".3g") if end is not None else "beyond" for end in (told.low, told.high)]
+    text = "holds" if told.breaks_at is None else written(told.breaks_at)
+    ends = ["beyond" if end is None else written(end) for end in (told.low, told.high)]
     tip = f"{told.label} on {told.axis}: {WHY[told.why]}"
     if told.breaks_at is not None:
         tip += f" from {text} (95 %: {ends[0]} to {ends[1]})"
@@ -105,14 +106,18 @@ def _curves(
     head = ["method", "benign cm", "breaks at", "95 % from", "to", "cm per unit", "in 68 %",
             "in 95 %", "worst 1 % benign, cm", "warnings"]  # fmt: skip
     body = [
-        [t.label, number(t.benign_m, 100), number(t.breaks_at, 1, ".3g"),
-         number(t.low, 1, ".3g"), number(t.high, 1, ".3g"), number(t.slope_m, 100, ".3g"),
+        [t.label, number(t.benign_m, 100),
+         *(_or_dash(x) for x in (t.breaks_at, t.low, t.high, 100 * t.slope_m)),
          number(t.inside_68, 100, ".0f"), number(t.inside_95, 100, ".0f"),
          number(_benign(c.worst_m), 100), ", ".join((*t.flags, *c.failures))]
         for c, t in mine
     ]  # fmt: skip
     return {"name": name, "id": _slug(name), "about": about, "svg": svg,
             "table": {"head": head, "rows": body}}  # fmt: skip
+
+
+def _or_dash(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else written(value)
 
 
 def _benign(figures: Any) -> float | None:  # noqa: ANN401 - an array

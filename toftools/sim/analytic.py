@@ -18,7 +18,8 @@ import numpy as np
 from toftools.phasor import demodulate
 from toftools.registry import checked_params, parameters_of
 from toftools.sim.noise import Frame, capture_moving, capture_taps, true_phasors
-from toftools.sim.shapes import Transport, cavity, corner, returns, tilted, two_returns, wall
+from toftools.sim.planted import returns, two_returns
+from toftools.sim.shapes import Transport, cavity, corner, tilted, wall
 from toftools.types import C64, Capture, Scene, Shot, Truth
 
 SCENES: Mapping[str, Callable[..., Transport]] = MappingProxyType(

@@ -39,7 +39,7 @@ class Axis:
             powers = 10.0 ** np.arange(np.floor(np.log10(self.low)), np.log10(self.high) + 1)
             ticks = np.outer(powers, [1.0] if decades > 3.5 else [1.0, 2.0, 5.0]).ravel()
         inside = (ticks >= self.low * (1 - 1e-9)) & (ticks <= self.high * (1 + 1e-9))
-        return [float(tick) for tick in ticks[inside]]
+        return [float(tick) + 0.0 for tick in ticks[inside]]  # no minus before a zero
 
 
 def log_axis(values: NDArray[np.float64], *, name: str, horizontal: bool = False) -> Axis:

@@ -185,7 +185,7 @@ def _place(chart: Chart) -> list[Placed]:
         labels,
         points=np.concatenate([np.empty((0, 2)), *(one.xy for one in chart.series)]),
         lines=np.concatenate([np.empty((0, 2)), *(_along(path) for path in drawn)]),
-        area=(x.start + 4, y.end + 4, x.end - 4, y.start - 4),
+        area=(min(x.start, x.end) + 4, y.end + 4, max(x.start, x.end) - 4, y.start - 4),
     )
 
 
