@@ -236,6 +236,11 @@ def test_a_suite_of_axes_runs_and_bad_methods_are_flagged(tmp_path, monkeypatch)
     assert [line["label"] for line in lines] == ["crt:max_range_m=0", "test_stress:wild",
                                                  "test_stress:boastful"]  # fmt: skip
     assert lines[1]["flags"] == "unstable"
+    # Results of an older version name neither jobs nor batches.
+    for row_ in rows:
+        row_["machine"] = {k: v for k, v in row_["machine"].items() if k not in ("jobs", "batch")}
+    (tmp_path / "out" / "results.jsonl").write_text("".join(json.dumps(r) + "\n" for r in rows))
+    assert "clock" in report(tmp_path / "out").read_text(encoding="utf-8")
     kept = json.loads((tmp_path / "out" / "stability.json").read_text())
     assert kept[0]["breaks_at"] == pytest.approx(float(lines[0]["breaks_at"]))
 
