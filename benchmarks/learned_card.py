@@ -22,7 +22,7 @@ like those of training.
 - `phasornet_20` in rooms whose range is off by more than half a metre everywhere: with one
   frequency the same network that takes nearly two thirds from the error of furnished rooms leaves
   more there than `deeptof2017` does.
-- Frames of fewer than some 100 columns: the network knows no such small pictures.
+- Frames smaller than 112 x 160: trainings know none (`auto` asks no network there).
 - Slanted walls in the distance, where noise rules, gain nothing.
 - Mirrors, glass, light through thin things, a second camera: none was in training.
 - Surfaces out of view that are brighter or nearer than those of the training's rooms.

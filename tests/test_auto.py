@@ -50,7 +50,12 @@ def test_bounced_light_is_taken_out_where_there_is_some(name):
 
 
 @pytest.mark.parametrize(
-    "device", ["opt8241:width=48,height=36", "kinect2_nominal:width=48,height=40"]
+    "device",
+    [
+        "opt8241:width=48,height=36",
+        "kinect2_nominal:width=48,height=40",
+        "opt8241:width=160,height=120",
+    ],
 )
 @pytest.mark.parametrize(
     ("scene", "params"), [("wall", {"range": 2.0}), ("tilted", {"range": 2.0, "tilt": 30.0})]
@@ -106,6 +111,15 @@ def test_a_learned_answer_counts_where_it_is_surer_than_what_it_changes():
     assert unsure.info["shares"]["learned"] == 0
     assert np.array_equal(unsure.sigma_m, plain.sigma_m)
     assert "below what it changes" in taken.info["why"]["learned"]
+
+
+def test_the_package_s_network_is_asked_for_frames_as_large_as_those_it_knows():
+    for size, asked in (("width=159,height=112", False), ("width=160,height=112", True)):
+        info = both(made("wall", {"range": 2.0}, sensor(f"opt8241:{size}")))[0].info
+        assert ("learned" in info["why"]) == asked
+    named, _ = both(made("wall", {"range": 2.0}, sensor("opt8241:width=20,height=12")),
+                    learned="test_auto:sure")  # fmt: skip
+    assert "learned" in named.info["why"]
 
 
 def oracle(device, *, range_m: float = 2.0):

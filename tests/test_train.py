@@ -10,7 +10,7 @@ from learning import DEVICE, planes
 
 from toftools.cli import cli
 from toftools.correct._net_engine import engine
-from toftools.correct._net_file import read_card
+from toftools.correct._net_file import LEAST_PIXELS, read_card
 from toftools.correct._net_inputs import channels
 from toftools.registry import CORRECTIONS, find
 from toftools.sensors import sensor
@@ -18,7 +18,7 @@ from toftools.train import loop
 from toftools.train.export import card_of, example, export, quantised
 from toftools.train.frames import read_frames
 from toftools.train.recipe import RECIPES, read_train_recipe
-from toftools.train.samples import Samples, mirrored, noisy
+from toftools.train.samples import SIZES, Samples, mirrored, noisy
 from toftools.train.standard import StandardConv, folded
 from toftools.train.train import kept, network, trained
 from toftools.types import Phasors
@@ -140,6 +140,10 @@ def test_mirrored_cameras_see_mirrored_directions():
         turned = rays(mirrored(device, across, down).camera)
         back = turned[:, ::-1] * [-1, 1, 1] if across else turned[::-1] * [1, -1, 1]
         assert np.allclose(back, own, atol=1e-6)
+
+
+def test_the_smallest_frames_are_those_that_auto_knows_of():
+    assert min(rows * columns for rows, columns, _ in SIZES) == LEAST_PIXELS
 
 
 def test_noise_has_the_ratio_asked_for():

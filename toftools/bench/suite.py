@@ -113,7 +113,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
     ]
     methods = tuple(str(m) for m in list_of(table, "methods", where))
     if not sources or not methods:
-        msg = f"{where} needs methods, and captures, scenes or axes; got {sorted(table)}"
+        msg = f"{where} needs methods, and captures or scenes or axes; got {sorted(table)}"
         raise ValueError(msg)
     names = {spec.name for method in methods for spec in specs_of(method_of(method))}
     grid = table_of(table, "grid", where)

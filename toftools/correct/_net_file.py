@@ -29,6 +29,8 @@ NORMALISATION: Mapping[str, float] = {
 }  # fmt: skip
 """Constants of the input; a file with others was trained on another input."""
 FORMAT = 1
+LEAST_PIXELS = 112 * 160
+"""Pixels of the smallest frames that a training sees (`train.samples`)."""
 MULTIPLES = (16, 32, 64)
 """Of which rows and columns may be multiples; tiles are multiples of all."""
 SAME_RATIO = 0.01

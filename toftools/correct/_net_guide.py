@@ -93,7 +93,9 @@ def prefer(candidates_m: F32, values: C64, lit: Bool, dim: F32, guide: Guide) ->
     thin = (slice(None, None, 4), slice(None, None, 4))
     if not lit[thin].any():
         thin = (slice(None), slice(None))
-    bright = (np.abs(values[0][thin]) * candidates_m[0][thin] ** 2 * dim[thin])[lit[thin]]
+    lit_px = lit[thin]
+    bright = np.abs(values[0][thin][lit_px]) * candidates_m[0][thin][lit_px] ** 2
+    bright *= dim[thin][lit_px]
     middle = float(np.median(bright)) if bright.size else 1.0
     shape = (values.shape[0], guide.rows.size - 1, guide.columns.size - 1)
     cells = np.empty(shape, np.complex64)

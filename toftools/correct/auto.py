@@ -31,7 +31,7 @@ import numpy as np
 from toftools.correct import INVALID, OK, refuse_emitter_offset, warm_up
 from toftools.correct._choice import BOUNCED, LEARNED, MODELS, ONE, TWO, Choice, merged, spread_of
 from toftools.correct._evidence import Explained, explained, explains_more, noise_of, pooled
-from toftools.correct._net_file import shipped
+from toftools.correct._net_file import LEAST_PIXELS, shipped
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
@@ -61,6 +61,7 @@ class _Rivals:
     fitted: Callable[[Phasors], DepthMap] | None
     two: Callable[[Phasors], DepthMap] | None
     learned: Callable[[Phasors], DepthMap] | None
+    least_pixels: int
     k: F64
 
 
@@ -78,7 +79,8 @@ def auto(
         gives ``info["indirect"]``; empty for `fuchs2010`.
     learned : str
         A learned correction, the same way; empty for the network of the package that suits the
-        frequencies, if there is one; ``none`` for none.
+        frequencies, if there is one and the frame is no smaller than those it was trained on;
+        ``none`` for none.
     max_range_m : float
         Longest range, m; 0 stands for the joint ambiguity.
 
@@ -122,6 +124,7 @@ def auto(
         fuchs.build(sensor, albedo_gain=0.0, **limit) if fitted else None,
         None if freqs.size < 3 else CORRECTIONS["two_returns"].build(sensor, **limit),
         _taught(sensor, learned, max_range_m),
+        0 if learned else LEAST_PIXELS,
         range_to_phase(1.0, freqs),
     )
     flash = optics(sensor).flash.mean(axis=0)
@@ -152,7 +155,7 @@ def _decided(phasors: Phasors, rivals: _Rivals, flash: F32) -> DepthMap:
     if rivals.k.size > 2:
         choice = _two(left, rivals, usable, choice, flash, why)
     dof = max(rivals.k.size - 1, 1)
-    if rivals.learned is not None:
+    if rivals.learned is not None and usable.size >= rivals.least_pixels:
         choice = _learned(phasors, rivals.learned, usable, choice, dof, why)
     return _answer(start, phasors, usable, choice, dof, why)
 

@@ -18,7 +18,8 @@ from toftools.train.recipe import MULTIPLE, TrainRecipe
 from toftools.types import C64, F32, Bool, Camera, Modulation, Phasors, Sensor
 
 SIZES = ((240, 320, 1), (192, 256, 1), (112, 160, 2))
-"""Rows, columns, and step between the pixels taken, of a batch's frames."""
+"""Rows, columns, and step between the pixels taken, of a batch's frames; the fewest pixels are
+`correct._net_file.LEAST_PIXELS`."""
 SHARES = (0.6, 0.25, 0.15)
 PLACES = 2
 """Cuts begin at multiples of half of what is left over: few views to prepare."""
