@@ -99,7 +99,7 @@ def _curves(
     mine = [(course, told) for course, told in found if course.axis == name]
     longest = max(mine, key=lambda pair: pair[0].values.size)[0]
     strains = [Strain(INPUT, longest.input_m)]
-    strains += [Strain(c.label, c.error_m, t.breaks_at) for c, t in mine
+    strains += [Strain(c.label, c.error_m) for c, _ in mine
                 if c.values.size == longest.values.size]  # fmt: skip
     svg = stress_svg(longest.values.tolist(), strains, title=name, name=about or name)
     (out / "figures" / f"axis-{_slug(name)}.svg").write_text(svg, encoding="utf-8")

@@ -25,13 +25,10 @@ class Strain:
         Method.
     mae_m : ndarray, (V, S)
         Mean absolute error per value and seed, m; what is not finite is left out.
-    breaks_at : float or None
-        Value where it breaks.
     """
 
     name: str
     mae_m: NDArray[np.float64]
-    breaks_at: float | None = None
 
 
 def stress_svg(values: Sequence[float], strains: Sequence[Strain], *, title: str, name: str) -> str:
