@@ -22,8 +22,10 @@ like those of training.
 - `phasornet_20` in rooms whose range is off by more than half a metre everywhere: with one
   frequency the same network that takes nearly two thirds from the error of furnished rooms leaves
   more there than `deeptof2017` does.
-- Frames smaller than 112 x 160: trainings know none (`auto` asks no network there).
-- Slanted walls in the distance, where noise rules, gain nothing.
+- Frames of fewer pixels than 112 x 160: trainings know none (`auto` asks no network there).
+- Slanted walls in the distance, closed boxes and cavities at 40 and 70 MHz: `semi_global` or
+  `fuchs2010` err less there ([index](index.md), by family), and `auto`, which believes the
+  network's sigma, goes along with it.
 - Mirrors, glass, light through thin things, a second camera: none was in training.
 - Surfaces out of view that are brighter or nearer than those of the training's rooms.
 - Amplitudes that are not proportional to the light (calibrate them first): the pattern of

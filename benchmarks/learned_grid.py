@@ -25,8 +25,8 @@ SAID = {
     "phasornet_64": "32, 64 and 128 channels",
     "phasornet_96": "48, 96 and 192 channels",
     "phasornet_no_bounce": "as phasornet_48, without the light of one bounce",
-    "phasornet_no_physics": "as phasornet_48, with range and direction alone: without bounced "
-    "light, residuals, candidates, reflectance",
+    "phasornet_no_physics": "as phasornet_48, without bounced light, residuals, candidates and "
+    "reflectance: range, direction, and on the coarse grid normals",
     "deeptof2017_short": "additions of the encoder's features, pre-trained",
     "deeptof2017_no_pretraining": "all layers trained from the start, for as many steps in all",
     "deeptof2017_concat": "concatenation instead of addition",

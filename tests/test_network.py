@@ -385,3 +385,15 @@ def test_the_registry_and_the_command_line_take_a_file(tmp_path):
     path = net(tmp_path / "net.onnx")
     run = find(CORRECTIONS, f"network:model={path}").build(sensor(DEVICE))
     assert np.isfinite(run(Phasors(np.ones((2, 4, 4), np.complex64))).range_m).all()
+
+
+def test_pixels_whose_noise_is_no_number_have_no_answer():
+    device = sensor(DEVICE)
+    values, _ = corner(device)
+    sigma = np.full(values.shape, 0.01, np.float32)
+    sigma[:, 3, 4], sigma[0, 5, 6], sigma[:, 7, 8] = np.nan, np.nan, np.inf
+    run = network(device)
+    bare, depth = run(Phasors(values)), run(Phasors(values, sigma))
+    lost = ~np.isfinite(depth.range_m)
+    assert lost[3, 4] and lost[5, 6] and lost[7, 8] and lost.sum() == 3
+    assert np.array_equal(depth.range_m[~lost], bare.range_m[~lost])

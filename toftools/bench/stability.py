@@ -27,7 +27,7 @@ LEAST_INSIDE = 0.45
 BENIGN = 2
 """Values of an axis that count as easy."""
 UNSTABLE = 1.5
-"""Error over that of the input, where that is no longer benign, that no method should reach."""
+"""Error over that of the input that no method should reach anywhere on an axis."""
 FIGURES = ("mae_m", "input_mae_m", "valid_share", "p99_m")
 
 
@@ -76,7 +76,8 @@ class Stability:
     breaks_at : float or None
         Value where it breaks; None if it does not.
     low, high : float or None
-        Interval of 95 % of that value; None where that end lies beyond the axis.
+        Percentiles 2.5 and 97.5 of that value over seeds drawn again: of few seeds about the
+        smallest and the largest; None where that end lies beyond the axis.
     share : float
         Part of the axis that it survives, 0..1, in steps of its values.
     why : str
@@ -84,7 +85,8 @@ class Stability:
     benign_m : float
         Error at the easiest value, m.
     slope_m : float
-        Error per unit of the axis where it begins to rise, m; NaN where it does not.
+        Error per unit of the axis, from its easy end to where the error first rises, m; NaN where
+        it does not.
     inside_68, inside_95 : float
         Shares within the intervals at the easiest values; NaN without a sigma.
     flags : tuple of str
@@ -111,7 +113,8 @@ def courses(rows: Iterable[Mapping[str, Any]]) -> list[Course]:
     Parameters
     ----------
     rows : iterable of mapping
-        Rows of results; those of no axis, and of methods that do not suit one, are left out.
+        Rows of results; those of no axis, of methods that do not suit one, and what was not run yet
+        are left out.
 
     Returns
     -------
@@ -120,7 +123,7 @@ def courses(rows: Iterable[Mapping[str, Any]]) -> list[Course]:
     """
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
-        if "axis" in row and row["status"] != "unsuited":
+        if "axis" in row and row["status"] not in ("unsuited", "missing"):
             found.setdefault((str(row["axis"]), label_of(row)), []).append(row)
     return [_course(axis, label, mine) for (axis, label), mine in found.items()]
 
@@ -172,8 +175,8 @@ def stability(course: Course) -> Stability:
         None if place > last else _value(course.values, place),
         None if low > last else _value(course.values, low),
         None if high > last else _value(course.values, high),
-        float(min(place, last) / last), why, float(np.mean(course.error_m[0])), _slope(course),
-        inside[0], inside[1], _flags(course, inside[0]),
+        float(min(place, last) / max(last, 1)), why, float(np.mean(course.error_m[0])),
+        _slope(course), inside[0], inside[1], _flags(course, inside[0]),
     )  # fmt: skip
 
 
@@ -222,7 +225,7 @@ def _value(values: F64, place: float) -> float:
 
 
 def _slope(course: Course) -> float:
-    """Error per unit at the first step whose error rises by more than its spread over seeds."""
+    """Rise from the easy end to the first value that rises by more than its spread over seeds."""
     with np.errstate(invalid="ignore"):  # infinite where there is no answer
         mean, spread = course.error_m.mean(axis=1), course.error_m.std(axis=1)
     for at in range(1, mean.size):

@@ -91,6 +91,11 @@ def _checked(entry: object, where: str) -> str:
         raise ValueError(msg)
     columns = [key for key in entry if key not in _KEYS and isinstance(entry[key], list)]
     check_keys(entry, (*_KEYS, *columns), f"axis {name} of {where}")
+    if "value" in columns:
+        msg = (
+            f"axis {name} of {where} has a list named value, which {{value}} already is; rename it"
+        )
+        raise ValueError(msg)
     for key in columns:
         if len(entry[key]) != len(values):
             msg = f"axis {name} of {where} has {len(entry[key])} {key} for {len(values)} values"

@@ -1,8 +1,8 @@
 """The cheapest model of the light that explains the phasors, pixel by pixel.
 
 Models, cheapest first: one return; light that bounced between the surfaces in view; two returns;
-a learned method, where one is named. Every answer starts as one return, unwrapped by `semi_global`,
-and a richer model must earn its place:
+a learned method, the package's own or one that is named. Every answer starts as one return,
+unwrapped by `semi_global`, and a richer model must earn its place:
 
 - *bounced light* (`fuchs2010`) when phasors freed from it agree across frequencies better than
   before. The share of the excess residual that it explains decides for the whole frame, since a

@@ -159,17 +159,21 @@ def _answer(
             which[v, u] = chosen
             shift_m[v, u] = out[0, v, u] * unit
             found = candidates[chosen, v, u] + shift_m[v, u]
-            good[v, u] = valid[v, u] and np.isfinite(found)
+            # A range follows the phases of its own pixel: it is no better than those (Cramer-Rao
+            # bound), and none where their noise is not a number.
+            known = np.float32(0)
+            for f in range(sigma.shape[0]):
+                snr = abs(values[f, v, u]) / max(sigma[f, v, u], np.float32(1e-30))
+                known += (turn * turns_per_m[f] * snr) ** 2
+                if not sigma[f, v, u] < np.inf:
+                    known = np.float32(np.nan)
+            told = sigma.shape[0] == 0 or known > 0
+            good[v, u] = valid[v, u] and np.isfinite(found) and told
             range_m[v, u], sigma_m[v, u] = np.nan, np.nan
             if good[v, u]:
                 range_m[v, u] = min(max(found, np.float32(0)), longest)
                 scale = min(max(out[1, v, u], np.float32(-WIDEST)), np.float32(WIDEST))
-                # Standard deviation of a Laplace distribution of that scale; but a range follows
-                # the phases of its own pixel, and is no better than those (Cramer-Rao bound).
-                known = np.float32(1e-30)
-                for f in range(sigma.shape[0]):
-                    snr = abs(values[f, v, u]) / max(sigma[f, v, u], np.float32(1e-30))
-                    known += (turn * turns_per_m[f] * snr) ** 2
+                # Standard deviation of a Laplace distribution of that scale.
                 least = np.float32(0) if sigma.shape[0] == 0 else 1 / np.sqrt(known)
                 sigma_m[v, u] = max(root2 * unit * np.exp(scale), least)
 
