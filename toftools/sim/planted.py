@@ -39,19 +39,7 @@ def two_returns(
     Transport
         The second return counts as one indirect bounce.
     """
-    check_positive(extra=extra)
-    if not ratio >= 0:
-        msg = f"ratio must be 0 or more, got {ratio}"
-        raise ValueError(msg)
-    first = wall(camera, range=range, albedo=albedo)
-
-    def phasor(freq_hz: float, max_bounces: int | None) -> C128:
-        direct = first.phasor(freq_hz, 0)
-        if max_bounces == 0:
-            return direct
-        return np.asarray(direct * (1 + ratio * np.exp(1j * range_to_phase(extra, freq_hz))))
-
-    return Transport(first.range_m, phasor)
+    return returns(camera, count=2, range=range, extra=extra, ratio=ratio, albedo=albedo)
 
 
 def returns(
@@ -87,7 +75,7 @@ def returns(
     """
     check_positive(extra=extra)
     if not (count >= 1 and ratio >= 0):
-        msg = f"returns wants a count of 1 or more and a ratio of 0 or more, got {count}, {ratio}"
+        msg = f"count must be 1 or more and ratio must be 0 or more, got {count} and {ratio}"
         raise ValueError(msg)
     first = wall(camera, range=range, albedo=albedo)
 
