@@ -14,7 +14,7 @@ from toftools.phasor import phasors_of
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
 from toftools.types import DepthMap, Phasors, Scene, Shot
-from toftools.units import range_to_phase
+from toftools.units import ambiguity_m, range_to_phase
 
 FIRST = sorted((Path(toftools.bench.__file__).parent / "suites" / "first").glob("*.h5"))
 
@@ -90,12 +90,12 @@ def test_light_from_surfaces_out_of_view_changes_nothing_but_sigma():
     assert (error < 3 * plain.sigma_m).mean() < 0.9
 
 
-def sure(device, *, sigma_m: float = 0.01):
+def sure(device, *, sigma_m: float = 0.01, range_m: float = 2.0):
     """A learned method that is right about the cavity, and says how sure it is."""
 
     def run(phasors):
         shape = phasors.valid.shape
-        return DepthMap(np.full(shape, 2.0), sigma_m=np.full(shape, sigma_m))
+        return DepthMap(np.full(shape, range_m), sigma_m=np.full(shape, sigma_m))
 
     return run
 
@@ -111,6 +111,16 @@ def test_a_learned_answer_counts_where_it_is_surer_than_what_it_changes():
     assert unsure.info["shares"]["learned"] == 0
     assert np.array_equal(unsure.sigma_m, plain.sigma_m)
     assert "below what it changes" in taken.info["why"]["learned"]
+
+
+def test_another_count_of_turns_takes_a_learned_sigma_of_a_tenth_of_the_change():
+    """The wall at 2 m; the learned answer lies 4.28 m away: two turns of the higher frequency."""
+    wall = made("wall", {"range": 2.0}, sensor("opt8241:width=20,height=12"))
+    away = ambiguity_m(70e6) * 2
+    for sigma_m, share in ((0.05 * away, 1.0), (0.2 * away, 0.0)):
+        method = f"test_auto:sure:sigma_m={sigma_m},range_m={2.0 + away}"
+        depth, _ = both(wall, learned=method)
+        assert depth.info["shares"]["learned"] == share
 
 
 def test_the_package_s_network_is_asked_for_frames_as_large_as_those_it_knows():

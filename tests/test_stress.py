@@ -11,8 +11,9 @@ from toftools.bench.plan import make_plan
 from toftools.bench.report import report
 from toftools.bench.run import Settings, run_points
 from toftools.bench.score import score
-from toftools.bench.stability import courses, stability
+from toftools.bench.stability import Course, courses, stability
 from toftools.bench.stress import axis_sources
+from toftools.bench.stress_report import _slug
 from toftools.bench.suite import load_suite
 from toftools.correct.crt import crt
 from toftools.io.native import read_capture
@@ -183,6 +184,66 @@ def test_missing_answers_and_failures_break():
     assert courses(rows)[0].failures == ("it raised",)
 
 
+def test_one_crash_among_three_seeds_is_no_error_of_the_method():
+    rows = [row(v, s, 0.01, 0.1, status="crashed" if (v, s) == (2, 1) else "ok")
+            for v in (1, 2, 3) for s in (0, 1, 2)]  # fmt: skip
+    course = courses(rows)[0]
+    assert course.valid[1].tolist() == [1, 0, 1] and np.isfinite(course.input_m).sum() == 8
+    found = stability(course)
+    assert found.breaks_at is None and found.high is None and found.low < 3
+    assert found.flags == ("fails",)
+
+
+def test_the_input_of_a_crashed_point_is_that_of_other_methods():
+    rows = [row(v, 0, 0.01, 0.1 * v, label=m, status="failed" if m == "b" and v == 2 else "ok")
+            for v in (1, 2, 3) for m in ("a", "b")]  # fmt: skip
+    assert courses(rows)[1].input_m[:, 0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_a_sensor_that_does_not_suit_breaks_a_method_there_and_keeps_it_on_the_chart():
+    rows = [row(v, s, 0.01, 0.1, label=m, status="unsuited" if m == "b" and v > 1 else "ok")
+            for v in (1, 2, 3) for s in (0, 1) for m in ("a", "b")]  # fmt: skip
+    rows += [row(v, s, 0.01, 0.1, label="c", status="unsuited") for v in (1, 2, 3) for s in (0, 1)]
+    found = {c.label: stability(c) for c in courses(rows)}
+    assert list(found) == ["a", "b"], "what suits nowhere has no course"
+    assert found["b"].why == "no answer" and found["b"].share < 1
+    assert courses(rows)[1].values.tolist() == [1, 2, 3]
+
+
+def test_a_millimetre_lost_on_a_perfect_input_is_no_instability():
+    assert told((0.0004, 0.0004, 0.1, 0.1), (0.0002, 0.0002, 0.1, 0.1)).flags == ()
+    assert told((0.04, 0.04, 0.1, 0.1), (0.02, 0.02, 0.1, 0.1)).flags == ("unstable",)
+
+
+def test_the_interval_of_a_place_covers_it_as_often_as_it_says():
+    """Curves that double at 2.5 steps, on average, and seeds that scatter by a third of a step."""
+    rng = np.random.default_rng(3)
+    for seeds in (2, 3, 5):
+        hits, tries = 0, 400
+        for _ in range(tries):
+            late = 2.5 + rng.normal(0, 0.33, seeds)
+            error = 0.01 * 2.0 ** (np.arange(6)[:, None] - late + 1)
+            error[0] = 0.01  # the own error of the easy end, the same for all
+            ones = np.ones_like(error)
+            none = np.full((6, seeds, 2), np.nan)
+            values = np.arange(6.0) + 1
+            course = Course("a", "m", values, error, 10 * ones, ones, error, none)
+            found = stability(course)
+            low, high = (7.0 if end is None else end for end in (found.low, found.high))
+            middle = float(np.exp(np.interp(2.5, np.arange(6), np.log(values))))
+            hits += low <= middle <= high
+        # Standard error of a share of 0.95 of 400: 0.011.
+        assert 0.91 <= hits / tries <= 0.985, (seeds, hits / tries)
+    alone = Course("a", "m", *(part[:, :1] if np.ndim(part) > 1 else part for part in (
+        values, error, 10 * ones, ones, error, none)))  # fmt: skip
+    assert np.isnan(stability(alone).low), "one seed has no spread"
+
+
+def test_axes_whose_names_read_alike_have_files_of_their_own():
+    names = ["a b", "a-b", "c"]
+    assert [_slug(name, names) for name in names] == ["a-b-1", "a-b-2", "c"]
+
+
 def test_what_was_not_run_yet_breaks_nothing():
     rows = [row(v, s, 0.01, 0.1) for v in (1, 2) for s in (0, 1)]
     rows += [row(3, s, 0.01, 0.1, status="missing") for s in (0, 1)]
@@ -191,10 +252,16 @@ def test_what_was_not_run_yet_breaks_nothing():
 
 
 def test_seeds_that_disagree_widen_the_interval():
-    rows = [row(v, s, e, 0.1) for v, pair in ((1, (0.01, 0.01)), (2, (0.01, 0.05)), (4, (0.2, 0.2)))
-            for s, e in enumerate(pair)]  # fmt: skip
-    found = stability(courses(rows)[0])
-    assert found.low < found.breaks_at < found.high
+    calm = (1, (0.01, 0.01, 0.01, 0.01))
+    torn = ((2, (0.01, 0.05, 0.01, 0.04)), (4, (0.2, 0.2, 0.2, 0.2)), (8, (0.2, 0.2, 0.2, 0.2)))
+    same = ((2, (0.01, 0.01, 0.01, 0.01)), *torn[1:])
+    wide, narrow = (
+        stability(courses([row(v, s, e, 0.1) for v, four in (calm, *rest)
+                           for s, e in enumerate(four)])[0])
+        for rest in (torn, same)
+    )  # fmt: skip
+    assert wide.low < wide.breaks_at < wide.high
+    assert wide.high / wide.low > 2 > narrow.high / narrow.low == 1
 
 
 def test_an_overconfident_sigma_is_flagged():

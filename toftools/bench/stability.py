@@ -2,8 +2,10 @@
 
 A method breaks at the first value where its error exceeds that of the uncorrected input (by a
 tenth), or twice its own at the easiest value, or where it answers less than half of the pixels.
-Between two values the place is interpolated; its interval comes from drawing the seeds again
-(bootstrap). What failed, crashed or ran out of time counts as broken there: nothing is dropped.
+Between two values the place is interpolated. Every seed breaks at a place of its own: their t
+interval (Student 1908) is the interval of the place, in steps of the axis; a seed that holds to the
+end counts as one step beyond it. What failed, crashed, ran out of time or does not suit the sensor
+of one value counts as broken there: nothing is dropped.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,14 +22,14 @@ WORSE = 2.0
 SLACK = 1.1
 """Error over that of the input that still counts as no worse: methods that only unwrap equal it."""
 LEAST_VALID = 0.5
-DRAWS = 400
-"""Times that the seeds are drawn again."""
 LEAST_INSIDE = 0.45
 """Share within one sigma at the easiest values (0.68 is right) below which it is overconfident."""
 BENIGN = 2
 """Values of an axis that count as easy."""
 UNSTABLE = 1.5
 """Error over that of the input that no method should reach anywhere on an axis."""
+NOTICED_M = 0.01
+"""And the error itself, m: what is lost on a perfect input is no instability."""
 FIGURES = ("mae_m", "input_mae_m", "valid_share", "p99_m")
 
 
@@ -42,10 +44,10 @@ class Course:
     values : ndarray, (V,)
         Values, easiest first.
     error_m, input_m : ndarray, (V, S)
-        Mean absolute error of the method and of the uncorrected input, per seed; infinite where
-        there is no answer.
+        Mean absolute error of the method and of the uncorrected input, per seed; NaN where there is
+        none.
     valid : ndarray, (V, S)
-        Share of pixels answered.
+        Share of pixels answered; 0 where the method failed.
     worst_m : ndarray, (V, S)
         99th percentile of the absolute error.
     inside : ndarray, (V, S, 2)
@@ -76,8 +78,7 @@ class Stability:
     breaks_at : float or None
         Value where it breaks; None if it does not.
     low, high : float or None
-        Percentiles 2.5 and 97.5 of that value over seeds drawn again: of few seeds about the
-        smallest and the largest; None where that end lies beyond the axis.
+        Interval of 95 % of that value; None where that end lies beyond the axis, NaN of one seed.
     share : float
         Part of the axis that it survives, 0..1, in steps of its values.
     why : str
@@ -113,22 +114,45 @@ def courses(rows: Iterable[Mapping[str, Any]]) -> list[Course]:
     Parameters
     ----------
     rows : iterable of mapping
-        Rows of results; those of no axis, of methods that do not suit one, and what was not run yet
-        are left out.
+        Rows of results; those of no axis, what was not run yet, and methods that suit no value of
+        an axis are left out.
 
     Returns
     -------
     list of Course
         In the order of the rows.
     """
-    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    axes: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        if "axis" in row and row["status"] not in ("unsuited", "missing"):
-            found.setdefault((str(row["axis"]), label_of(row)), []).append(row)
-    return [_course(axis, label, mine) for (axis, label), mine in found.items()]
+        if "axis" in row:
+            axes.setdefault(str(row["axis"]), []).append(row)
+    found = []
+    for axis, every in axes.items():
+        before = _inputs(every)
+        by_label: dict[str, list[Mapping[str, Any]]] = {}
+        for row in every:
+            if row["status"] != "missing":
+                by_label.setdefault(label_of(row), []).append(row)
+        found += [
+            _course(axis, label, mine, before)
+            for label, mine in by_label.items()
+            if any(row["status"] != "unsuited" for row in mine)
+        ]
+    return found
 
 
-def _course(axis: str, label: str, rows: Sequence[Mapping[str, Any]]) -> Course:
+def _inputs(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[float, int], float]:
+    """Error of the uncorrected input of every capture of an axis: any finished row tells it."""
+    known = {}
+    for row in rows:
+        if row["metrics"].get("input_mae_m") is not None:
+            known[float(row["value"]), int(row["seed"])] = float(row["metrics"]["input_mae_m"])
+    return known
+
+
+def _course(
+    axis: str, label: str, rows: Sequence[Mapping[str, Any]], before: Mapping[Any, float]
+) -> Course:
     values = list(dict.fromkeys(float(row["value"]) for row in rows))
     seeds = sorted({int(row["seed"]) for row in rows})
     shape = (len(values), len(seeds))
@@ -139,14 +163,15 @@ def _course(axis: str, label: str, rows: Sequence[Mapping[str, Any]]) -> Course:
         for name in FIGURES:
             got = row["metrics"].get(name)
             tables[name][at] = np.nan if got is None else got
+        if row["status"] != "ok":
+            tables["valid_share"][at] = 0.0
+        tables["input_mae_m"][at] = before.get((float(row["value"]), int(row["seed"])), np.nan)
         told = row.get("intervals") or {}
         inside[at] = [np.nan if told.get(k) is None else told[k] for k in ("68", "95")]
-    error = np.where(np.isfinite(tables["mae_m"]), tables["mae_m"], np.inf)
-    valid = np.nan_to_num(tables["valid_share"], nan=0.0)
     said = dict.fromkeys(str(row["error"]) for row in rows if row["status"] != "ok")
     return Course(
-        axis, label, np.array(values), error, tables["input_mae_m"], valid, tables["p99_m"], inside,
-        tuple(said),
+        axis, label, np.array(values), tables["mae_m"], tables["input_mae_m"],
+        tables["valid_share"], tables["p99_m"], inside, tuple(said),
     )  # fmt: skip
 
 
@@ -163,7 +188,7 @@ def stability(course: Course) -> Stability:
     Stability
         Its figures.
     """
-    place, why = _place(course, np.arange(course.error_m.shape[1]))
+    place, why = _place(_mean(course.error_m), _mean(course.input_m), course.valid)
     why = why if np.isfinite(place) else ""
     low, high = _interval(course)
     last = course.values.size - 1
@@ -175,21 +200,29 @@ def stability(course: Course) -> Stability:
         None if place > last else _value(course.values, place),
         None if low > last else _value(course.values, low),
         None if high > last else _value(course.values, high),
-        float(min(place, last) / max(last, 1)), why, float(np.mean(course.error_m[0])),
+        float(min(place, last) / max(last, 1)), why, float(_mean(course.error_m)[0]),
         _slope(course), inside[0], inside[1], _flags(course, inside[0]),
     )  # fmt: skip
 
 
-def _place(course: Course, seeds: Any) -> tuple[float, str]:  # noqa: ANN401 - an index array
-    """Where the mean over some seeds breaks, in steps of the axis, and why; inf if nowhere."""
-    with np.errstate(invalid="ignore"):
-        error, raw = course.error_m[:, seeds].mean(axis=1), course.input_m[:, seeds].mean(axis=1)
-        valid = course.valid[:, seeds].mean(axis=1)
-        # How far beyond each limit, as a ratio: 1 is the limit itself.
+def _mean(table: F64) -> F64:
+    """Mean over the seeds that there are; NaN where there is none."""
+    known = np.isfinite(table)
+    count = known.sum(axis=1)
+    total = np.where(known, table, 0).sum(axis=1)
+    return np.asarray(np.divide(total, count, out=np.full(len(table), np.nan), where=count > 0))
+
+
+def _place(error: F64, raw: F64, valid: F64) -> tuple[float, str]:
+    """Where a course (V,) breaks, in steps of the axis, and why; inf if nowhere."""
+    answered = valid.mean(axis=1) >= LEAST_VALID
+    benign = WORSE * error[0]
+    # How far beyond each limit, as a ratio: 1 is the limit itself.
+    with np.errstate(invalid="ignore", divide="ignore"):
         beyond = {
-            "no answer": np.where(valid < LEAST_VALID, np.inf, 0.0),
+            "no answer": np.where(answered & np.isfinite(error), 0.0, np.inf),
             "input": np.nan_to_num(error / (SLACK * raw), nan=0.0, posinf=np.inf),
-            "own": error / (WORSE * error[0]) if 0 < error[0] < np.inf else np.zeros_like(error),
+            "own": np.nan_to_num(error / benign) if benign > 0 else np.zeros_like(error),
         }
     return min((_crossing(ratio), why) for why, ratio in beyond.items())
 
@@ -208,16 +241,25 @@ def _crossing(ratio: F64) -> float:
 
 
 def _interval(course: Course) -> tuple[float, float]:
-    """Percentiles 2.5 and 97.5 of the place over seeds drawn again."""
-    count = course.error_m.shape[1]
-    rng = np.random.default_rng(0)
-    places = [_place(course, rng.integers(count, size=count))[0] for _ in range(DRAWS)]
-    low, high = np.quantile(np.minimum(places, course.values.size), [0.025, 0.975])
-    return float(low), float(high)
+    """Ends of the t interval of the places of the seeds, in steps; NaN of one seed."""
+    from scipy.stats import t
+
+    count, beyond = course.error_m.shape[1], float(course.values.size)
+    if count == 1:
+        return np.nan, np.nan
+    places = np.array([
+        min(_place(course.error_m[:, s], course.input_m[:, s], course.valid[:, s : s + 1])[0],
+            beyond)
+        for s in range(count)
+    ])  # fmt: skip
+    half = float(t.ppf(0.975, count - 1)) * places.std(ddof=1) / np.sqrt(count)
+    return float(max(places.mean() - half, 0.0)), float(min(places.mean() + half, beyond))
 
 
 def _value(values: F64, place: float) -> float:
     """The value at a place between two; along the logarithm where all are positive."""
+    if np.isnan(place):
+        return float("nan")
     whole = np.arange(values.size)
     if (values > 0).all():
         return float(np.exp(np.interp(place, whole, np.log(values))))
@@ -226,21 +268,23 @@ def _value(values: F64, place: float) -> float:
 
 def _slope(course: Course) -> float:
     """Rise from the easy end to the first value that rises by more than its spread over seeds."""
-    with np.errstate(invalid="ignore"):  # infinite where there is no answer
-        mean, spread = course.error_m.mean(axis=1), course.error_m.std(axis=1)
+    mean, spread = _mean(course.error_m), _spread(course.error_m)
     for at in range(1, mean.size):
         if np.isfinite(mean[at]) and mean[at] - mean[0] > spread[at] + spread[0]:
             return float((mean[at] - mean[0]) / abs(course.values[at] - course.values[0]))
     return float("nan")
 
 
+def _spread(table: F64) -> F64:
+    """Standard deviation over the seeds that there are."""
+    return np.asarray(np.sqrt(_mean((table - _mean(table)[:, None]) ** 2)))
+
+
 def _flags(course: Course, inside: float) -> tuple[str, ...]:
     """What a reader must be warned of."""
-    with np.errstate(invalid="ignore"):
-        error, raw = course.error_m.mean(axis=1), course.input_m.mean(axis=1)
-        worse = error > UNSTABLE * raw
+    error, raw = _mean(course.error_m), _mean(course.input_m)
     found = {
-        "unstable": bool((worse & np.isfinite(error)).any()),
+        "unstable": bool(((error > UNSTABLE * raw) & (error > NOTICED_M)).any()),
         "overconfident": inside < LEAST_INSIDE,
         "fails": bool(course.failures),
     }

@@ -7,7 +7,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from toftools.bench.render import number
 from toftools.bench.stability import Course, Stability, courses, stability
 from toftools.io.atomic import atomic_path
+from toftools.types import F64
 from toftools.viz._axes import number as written
 from toftools.viz.stress import Strain, stress_svg
 
@@ -56,12 +57,14 @@ def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]
     labels = list(dict.fromkeys(course.label for course, _ in found))
     cells = {(told.axis, told.label): told for _, told in found}
     return {
-        "axes": [{"name": name, "id": _slug(name)} for name in names],
+        "axes": [{"name": name, "id": _slug(name, names)} for name in names],
         "methods": [
             {"label": label, "cells": [_cell(cells.get((name, label))) for name in names]}
             for label in labels
         ],
-        "curves": [_curves(out, name, found, axes.get(name, "")) for name in names],
+        "curves": [
+            _curves(out, name, _slug(name, names), found, axes.get(name, "")) for name in names
+        ],
     }
 
 
@@ -70,10 +73,11 @@ def _cell(told: Stability | None) -> dict[str, str]:
     if told is None:
         return {"text": "–", "style": "", "tip": "does not apply", "flags": ""}
     text = "holds" if told.breaks_at is None else written(told.breaks_at)
-    ends = ["beyond" if end is None else written(end) for end in (told.low, told.high)]
+    ends = ["beyond" if e is None else written(e) for e in (told.low, told.high)]
+    one = told.low is not None and math.isnan(told.low)
     tip = f"{told.label} on {told.axis}: {WHY[told.why]}"
     if told.breaks_at is not None:
-        tip += f" from {text} (95 %: {ends[0]} to {ends[1]})"
+        tip += f" from {text}" + ("" if one else f" (95 %: {ends[0]} to {ends[1]})")
     tip += f"; benign error {number(told.benign_m, 100)} cm"
     if math.isfinite(told.inside_68):
         tip += f"; within one sigma {told.inside_68:.0%}, within 95 % {told.inside_95:.0%}"
@@ -93,16 +97,16 @@ def _colour(share: float) -> str:
 
 
 def _curves(
-    out: Path, name: str, found: Sequence[tuple[Course, Stability]], about: str
+    out: Path, name: str, slug: str, found: Sequence[tuple[Course, Stability]], about: str
 ) -> dict[str, Any]:
     """Chart and table of one axis."""
     mine = [(course, told) for course, told in found if course.axis == name]
-    longest = max(mine, key=lambda pair: pair[0].values.size)[0]
-    strains = [Strain(INPUT, longest.input_m)]
-    strains += [Strain(c.label, c.error_m) for c, _ in mine
-                if c.values.size == longest.values.size]  # fmt: skip
-    svg = stress_svg(longest.values.tolist(), strains, title=name, name=about or name)
-    (out / "figures" / f"axis-{_slug(name)}.svg").write_text(svg, encoding="utf-8")
+    values = sorted({v for c, _ in mine for v in c.values}, key=_order(mine))
+    raw = max((c for c, _ in mine), key=lambda c: int(np.isfinite(c.input_m).sum()))
+    strains = [Strain(INPUT, _placed(raw.input_m, raw, values))]
+    strains += [Strain(c.label, _placed(c.error_m, c, values)) for c, _ in mine]
+    svg = stress_svg(values, strains, title=name, name=about or name)
+    (out / "figures" / f"axis-{slug}.svg").write_text(svg, encoding="utf-8")
     head = ["method", "benign cm", "breaks at", "95 % from", "to", "cm per unit", "in 68 %",
             "in 95 %", "worst 1 % benign, cm", "warnings"]  # fmt: skip
     body = [
@@ -112,7 +116,7 @@ def _curves(
          number(_benign(c.worst_m), 100), ", ".join((*t.flags, *c.failures))]
         for c, t in mine
     ]  # fmt: skip
-    return {"name": name, "id": _slug(name), "about": about, "svg": svg,
+    return {"name": name, "id": slug, "about": about, "svg": svg,
             "table": {"head": head, "rows": body}}  # fmt: skip
 
 
@@ -126,8 +130,24 @@ def _benign(figures: Any) -> float | None:  # noqa: ANN401 - an array
     return float(first.mean()) if first.size else None
 
 
-def _slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in name)
+def _order(mine: Sequence[tuple[Course, Stability]]) -> Callable[[float], int]:
+    """Key that sorts values from easy to hard: as in the longest course; others after them."""
+    longest = max((c.values.tolist() for c, _ in mine), key=len)
+    return lambda value: longest.index(value) if value in longest else len(longest)
+
+
+def _placed(table: F64, course: Course, values: Sequence[float]) -> F64:
+    """A table of a course on all values of its axis, NaN where it has none."""
+    whole = np.full((len(values), table.shape[1]), np.nan)
+    whole[[values.index(value) for value in course.values]] = table
+    return whole
+
+
+def _slug(name: str, names: Sequence[str]) -> str:
+    """Name of a file for an axis; numbered where another axis would have the same."""
+    plain = ["".join(c if c.isalnum() else "-" for c in each).lower() for each in names]
+    at = list(names).index(name)
+    return plain[at] if plain.count(plain[at]) == 1 else f"{plain[at]}-{at + 1}"
 
 
 def _write_tables(out: Path, told: Sequence[Stability]) -> None:

@@ -87,6 +87,18 @@ def _tidy() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+def _warm(job: Mapping[str, Any]) -> None:
+    """Run the method of a batch once, on the first capture that it suits."""
+    for point in job["points"]:
+        try:
+            prime(read_capture(point["capture"]), method_of(job["method"]), point["params"])
+        except ValueError:  # perhaps the sensor of this capture alone
+            continue
+        except BaseException:  # the point itself will say what is wrong
+            return
+        return
+
+
 def main(job_file: str) -> None:
     """Run the points described in a job file, one after another.
 
@@ -102,9 +114,7 @@ def main(job_file: str) -> None:
     sys.path.append(job["folder"])  # a user's own method lies where the command was typed
     if job["batch"] and job["method"] not in REFERENCES:
         # All points of a batch find the method warm, the first one too.
-        with contextlib.suppress(BaseException):  # the point itself will say what is wrong
-            first = job["points"][0]
-            prime(read_capture(first["capture"]), method_of(job["method"]), first["params"])
+        _warm(job)
     for number, point in enumerate(job["points"]):
         if job["batch"]:
             _tidy()

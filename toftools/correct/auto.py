@@ -11,11 +11,14 @@ unwrapped by `semi_global`, and a richer model must earn its place:
 - *two returns* (`two_returns`) where much is left unexplained in the neighbourhood, they explain
   nearly all of it, the nearer one is no brighter than white, and its own uncertainty is smaller
   than what it changes.
-- *learned* (`network`, if the package has one for these frequencies) where its own sigma is smaller
-  than what it changes, or clearly than what has been decided till then can promise: light from out
-  of view need not disagree with itself, so that the models above cannot see it in the phases, and
-  what has learned how rooms go on can. A learned method without a sigma is asked only where the
-  frame still disagrees with itself, which takes several frequencies.
+- *learned* (`network`, if the package has one for these frequencies and the frame is no smaller
+  than those it knows) where its own sigma is smaller than what it changes, or clearly than what has
+  been decided till then can promise: light from out of view need not disagree with itself, so that
+  the models above cannot see it in the phases, and what has learned how rooms go on can. To change
+  the count of turns its sigma must be a tenth of the change: between two turns it hedges. (That the
+  phases fit no worse there is no good test: it cost 30 %, since multipath bends them.) A learned
+  method without a sigma is asked only where the frame still disagrees with itself, which takes
+  several frequencies.
 
 Where the evidence is weak the single return stays, and sigma grows by what the rejected model would
 have changed; unexplained residuals widen it too. Reference: model selection by chi-squared and the
@@ -35,7 +38,7 @@ from toftools.correct._net_file import LEAST_PIXELS, shipped
 from toftools.correct._scene import optics
 from toftools.registry import CORRECTIONS, find
 from toftools.types import F32, F64, Bool, DepthMap, Phasors, Sensor
-from toftools.units import range_to_phase
+from toftools.units import TWO_PI, range_to_phase
 
 UNEXPLAINED = 3.0
 """Mean residual per degree of freedom from which a neighbourhood needs a richer model."""
@@ -47,6 +50,8 @@ WHITE = 1.3
 """Largest albedo of a surface; above 1 for noise and slanted light."""
 CLEARLY = 0.8
 """Sigma of a learned answer over that of the cheaper one, below which it is clearly smaller."""
+SURE = 0.1
+"""Sigma of a learned answer over its change, below which it may change the count of turns."""
 LEAST_ALBEDO = 0.02
 """Median albedo below which amplitudes cannot be in the sensor's unit: the strength of bounced
 light is then fitted to the agreement of the frequencies."""
@@ -156,7 +161,7 @@ def _decided(phasors: Phasors, rivals: _Rivals, flash: F32) -> DepthMap:
         choice = _two(left, rivals, usable, choice, flash, why)
     dof = max(rivals.k.size - 1, 1)
     if rivals.learned is not None and usable.size >= rivals.least_pixels:
-        choice = _learned(phasors, rivals.learned, usable, choice, dof, why)
+        choice = _learned(phasors, rivals, usable, choice, dof, why)
     return _answer(start, phasors, usable, choice, dof, why)
 
 
@@ -245,11 +250,11 @@ def _taught(
 
 
 def _learned(
-    phasors: Phasors, method: Callable[[Phasors], DepthMap], usable: Bool, choice: Choice,
-    dof: int, why: dict[str, str],
-) -> Choice:  # fmt: skip
+    phasors: Phasors, rivals: _Rivals, usable: Bool, choice: Choice, dof: int, why: dict[str, str]
+) -> Choice:
     """The learned answer where it is sure enough, or where the frame disagrees with itself."""
-    tried = method(phasors)
+    assert rivals.learned is not None
+    tried = rivals.learned(phasors)
     given = usable & np.isfinite(tried.range_m)
     spread, need = spread_of(choice, usable, dof)
     if tried.sigma_m is None:
@@ -258,7 +263,9 @@ def _learned(
     else:
         sigma_m = tried.sigma_m
         change = np.abs(tried.range_m - choice.range_m)
+        turned = change * rivals.k.max() > TWO_PI / 2  # by more than half of the shortest ambiguity
         taken = given & ((sigma_m < CLEARLY * spread) | (sigma_m < change))
+        taken &= ~turned | (sigma_m < SURE * change)
         said = "where its sigma is below what it changes, or clearly the smallest"
     share = float(taken.sum() / max(int(usable.sum()), 1))
     why[MODELS[LEARNED]] = f"taken in {share:.0%} of the frame, {said}"
