@@ -263,6 +263,9 @@ class Shot:
         Paths per pixel of a sampling engine; None takes as many as `tol_m` needs.
     tol_m : float
         Standard error of range that a sampling engine may leave, m.
+    light_seed : int or None
+        Seed of sampled light alone; None takes `seed`. Shots that follow on each other and differ
+        in electronics and `seed` only then share light that is traced once.
     """
 
     sensor: Sensor
@@ -271,6 +274,7 @@ class Shot:
     max_bounces: int | None = None
     samples: int | None = None
     tol_m: float = 1e-3
+    light_seed: int | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("max_bounces", 0), ("samples", 1)):

@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -219,13 +219,22 @@ def _same(capture: Capture) -> Capture:
 
 
 def _shot(source: Source) -> Capture:
+    device = sensor(str(source.sensor))
+    light_seed = 0 if source.axis else None  # captures of an axis share what light they can
+    shot = Shot(device, source.seed, tol_m=1e-3 * source.tol_mm, light_seed=light_seed)
     scene = Scene(*parse_entry(source.text))
-    shot = Shot(sensor(str(source.sensor)), seed=source.seed, tol_m=1e-3 * source.tol_mm)
-    engine = choose(scene, shot.sensor)[0] if source.engine == "auto" else source.engine
-    capture: Capture = find(SIMULATORS, engine).build(scene)(shot)
+    engine = choose(scene, device)[0] if source.engine == "auto" else source.engine
+    capture: Capture = _simulator(engine, source.text)(shot)
     if capture.provenance.get("tolerance_met") is False:
         log.warning("%s has a standard error of range above %g mm", source.text, source.tol_mm)
     return _told(capture, source.claimed) if source.claimed else capture
+
+
+@lru_cache(maxsize=1)
+def _simulator(engine: str, scene: str) -> Callable[[Shot], Capture]:
+    """The simulator of the scene before, if it is the same: it remembers light."""
+    run: Callable[[Shot], Capture] = find(SIMULATORS, engine).build(Scene(*parse_entry(scene)))
+    return run
 
 
 def _told(capture: Capture, claimed: str) -> Capture:

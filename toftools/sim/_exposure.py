@@ -12,6 +12,7 @@ from toftools.phasor import demodulate
 from toftools.sim._flash import flashes_of
 from toftools.sim._holes import MOST
 from toftools.sim._image import Image
+from toftools.sim._kept import light_key, light_seed
 from toftools.sim._task import Task, first_hits
 from toftools.sim.noise import Frame as Exposed
 from toftools.sim.noise import (
@@ -98,6 +99,7 @@ def engine(
         about |= {"scene": scene.name, "scene_params": dict(scene.params)}
     mi = import_mitsuba(variant)
     still = load(world, variant=variant)  # broken scenes are refused here, not at the first shot
+    kept: dict[str, Frame] = {}
 
     def run(shot: Shot) -> Capture:
         moves = bool(world.velocity_mps) and shot.sensor.timing.tap_interval_s > 0
@@ -105,12 +107,19 @@ def engine(
         freqs_hz, signal_e = light_freqs_hz(shot.sensor), shot.sensor.noise.signal_e
 
         def frame_at(time_s: float) -> Exposed:
-            stage = load(world_at(world, time_s), variant=variant) if time_s else still
-            task = Task(mi, stage, flashes_of(mi, stage, shot.sensor))
-            done[time_s] = expose(task, shot, done.get(0.0))
-            image = done[time_s].image
+            key = None if time_s else light_key(shot)
+            if key is not None and key in kept:
+                done[time_s] = kept[key]
+            else:
+                stage = load(world_at(world, time_s), variant=variant) if time_s else still
+                task = Task(mi, stage, flashes_of(mi, stage, shot.sensor))
+                done[time_s] = expose(task, shot, done.get(0.0))
+            if key is not None:
+                kept.clear()  # the last one alone: pictures are large
+                kept[key] = done[time_s]
+            image, ambient_e = done[time_s].image, done[time_s].task.stage.ambient_e
             total = image.direct + image.one_bounce + image.rest
-            return _light(total, freqs_hz, signal_e), stage.ambient_e + signal_e * image.ambient
+            return _light(total, freqs_hz, signal_e), ambient_e + signal_e * image.ambient
 
         seed = shot.seed if shot.noisy else None
         if moves:
@@ -174,7 +183,7 @@ def _told(shot: Shot, frames: dict[float, Frame], world: World) -> dict[str, Any
     lamps = first.task.stage.lamp_modulated
     return {
         "seed": shot.seed if shot.noisy else None,
-        "path_seed": shot.seed,
+        "path_seed": light_seed(shot),
         "samples": int(first.image.samples.max()),
         "samples_mean": float(first.image.samples.mean()),
         "standard_error_mm": worst_mm,

@@ -21,6 +21,7 @@ import numpy as np
 from toftools.camera import rays
 from toftools.sim._exposure import Frame, check_antialias, engine
 from toftools.sim._image import Order
+from toftools.sim._kept import light_seed
 from toftools.sim._render import render
 from toftools.sim._stop import Depth, needed_bounces
 from toftools.sim._task import Task
@@ -100,7 +101,7 @@ def depth_of(task: Task, shot: Shot, earlier: Frame | None) -> Depth:
         left_m = np.nan if left_mm is None else 1e-3 * left_mm
         return Depth(told["max_bounces"], left_m, told["max_bounces_why"])
     centres, mod_hz = rays(shot.sensor.camera).reshape(-1, 3), shot.sensor.modulation.freqs_hz
-    depth = needed_bounces(task, centres, mod_hz, shot.tol_m, shot.seed)
+    depth = needed_bounces(task, centres, mod_hz, shot.tol_m, light_seed(shot))
     log.info("%s", depth.why)
     return depth
 
@@ -153,5 +154,5 @@ def order_of(shot: Shot, depth: Depth, antialias: int, max_samples: int) -> Orde
         samples=shot.samples,
         tol_m=shot.tol_m,
         max_samples=max_samples,
-        seed=shot.seed,
+        seed=light_seed(shot),
     )
