@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from toftools.bench.methods import method_of, specs_of
 from toftools.bench.plan import make_plan
 from toftools.bench.report import report
 from toftools.bench.run import Settings, run_points
@@ -18,6 +19,7 @@ from toftools.bench.suite import load_suite
 from toftools.correct.crt import crt
 from toftools.io.native import read_capture
 from toftools.metrics.interval import inside_interval
+from toftools.registry import CORRECTIONS
 from toftools.sensors import sensor
 from toftools.types import DepthMap, Truth
 from toftools.viz.stress import Strain, stress_svg
@@ -93,6 +95,8 @@ def test_columns_stand_beside_the_values():
         ({"values": [1, True, 3]}, "3 or more different numbers"),
         ({"scene": ""}, "needs a scene and a sensor"),
         ({"scene": "wall:range={metres}"}, "asks for {metres}, known: {value}"),
+        ({"scene": "nowhere:range={value}"}, "unknown scene 'nowhere'"),
+        ({"scene": "wall:rang=2"}, "rang"),
         ({"rows": [1, 2]}, "has 2 rows for 3 values"),
         ({"seeds": 0}, "wants seeds from 1 to 1000, got 0"),
         ({"seeds": 1.5}, "wants seeds from 1 to 1000, got 1.5"),
@@ -105,7 +109,7 @@ def test_columns_stand_beside_the_values():
     ],
 )
 def test_what_is_no_axis(change, said):
-    with pytest.raises(ValueError, match=r"axis|name|sensor") as caught:
+    with pytest.raises(ValueError, match=r"axis|name|sensor|scene") as caught:
         list(axis_sources([{**AXIS, **change}], "mine.toml"))
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
@@ -118,12 +122,18 @@ def test_axes_have_names_of_their_own():
 def test_the_suite_of_the_package_has_every_axis():
     suite = load_suite("stress")
     names = {source.axis for source in suite.sources}
-    assert len(names) == 22
+    assert len(names) == 28
     for source in suite.sources:
         if source.claimed:
             true, told = sensor(source.sensor), sensor(source.claimed)
             assert true.camera.shape == told.camera.shape
             assert true.modulation.steps_rad.shape == told.modulation.steps_rad.shape
+
+
+def test_every_correction_is_put_under_stress():
+    suite = load_suite("stress")
+    named = {spec.name for text in suite.methods for spec in specs_of(method_of(text))}
+    assert set(CORRECTIONS) - named == {"sra_lp", "fuchs2010_all_pairs"}, "the slow twins"
 
 
 # Measures

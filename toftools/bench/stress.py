@@ -3,7 +3,8 @@
 An axis is a table of a suite. Its scene, its sensor, and the sensor that methods are told of
 (``claimed``: a detuned clock, wrong intrinsics, an uncalibrated waveform) are texts in which
 ``{value}`` stands for the figure; other lists of the table are columns beside it, by their names.
-Every value is simulated with several seeds, so that a curve has a spread.
+Every value is simulated with several seeds of noise, so that a curve has a spread; captures that
+differ in electronics alone share their light.
 """
 
 import math
@@ -12,8 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from toftools.bench.source import Source, check_keys, list_of, number_of
-from toftools.registry import SIMULATORS, find
+from toftools.registry import SIMULATORS, find, parse_entry
 from toftools.sensors import sensor
+from toftools.sim.analytic import analytic
+from toftools.sim.choice import choose
+from toftools.sim.scenes import world_of
+from toftools.types import Scene, Sensor
 
 _KEYS = (
     "name",
@@ -131,11 +136,22 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
         for key in ("sensor", "claimed"):
             if filled[key]:
                 sensor(filled[key])  # a wrong figure is told before anything is simulated
+        _check_scene(filled["scene"], sensor(filled["sensor"]), engine)
         for seed in range(entry.get("seeds", 3)):
             yield Source(
                 filled["scene"], f"{GROUP}{name}", None, filled["sensor"], engine, tol_mm,
                 claimed=filled["claimed"], seed=seed, axis=name, value=float(value), about=about,
             )  # fmt: skip
+
+
+def _check_scene(text: str, device: Sensor, engine: str) -> None:
+    """Refuse a scene or a parameter that does not exist before anything is simulated."""
+    scene = Scene(*parse_entry(text))
+    name = choose(scene, device)[0] if engine == "auto" else engine
+    if name == "analytic":
+        analytic(scene)
+    elif parse_entry(name)[0] in SIMULATORS:  # an engine of the user's knows scenes of its own
+        world_of(scene)
 
 
 def _filled(text: str, row: Mapping[str, Any], name: str, where: str) -> str:
