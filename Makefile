@@ -1,4 +1,4 @@
-# Two commands: `make test` (everything CI checks) and `make bench` (the main job).
+# Two commands: `make test` (everything CI checks) and `make bench` (the main job: the suite core).
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -33,7 +33,7 @@ pytest: install
 test: lint types pytest
 
 bench: install
-	$(BIN)/toftools bench full --out $(OUT)
+	$(BIN)/toftools bench core --out $(OUT)
 
 clean:
 	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from toftools.bench.methods import method_of, specs_of
+from toftools.bench.methods import method_of, points, specs_of
 from toftools.bench.plan import make_plan
 from toftools.bench.report import report
 from toftools.bench.run import Settings, run_points
@@ -133,6 +133,7 @@ def test_the_suite_of_the_package_has_every_axis():
 def test_every_correction_is_put_under_stress():
     suite = load_suite("stress")
     named = {spec.name for text in suite.methods for spec in specs_of(method_of(text))}
+    assert all(len(points(text, suite.grid)) == 1 for text in suite.methods), "one setting each"
     assert set(CORRECTIONS) - named == {"sra_lp", "fuchs2010_all_pairs"}, "the slow twins"
 
 

@@ -62,13 +62,13 @@ def run_points(
             told(point, "kept")
         else:
             left.append((point, fingerprint))
-    for stray in (out / "runs").glob(".*"):  # a killed worker was writing it; nobody is now
-        stray.unlink(missing_ok=True)
-    if settings.cluster:
+    if settings.cluster:  # workers there outlive an interrupt: what they write is left alone
         from toftools.bench.cluster import work_off_there
 
         work_off_there(tasks_of(left, settings), out, settings, told)
     else:
+        for stray in (out / "runs").glob(".*"):  # a killed worker was writing it; nobody is now
+            stray.unlink(missing_ok=True)
         work_off(tasks_of(left, settings), out, settings, told)
     return bad
 
