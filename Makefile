@@ -43,6 +43,7 @@ docs: install
 	$(BIN)/python benchmarks/long_range.py --out docs/long_range
 	$(BIN)/python benchmarks/proofs.py
 	$(BIN)/python benchmarks/make_docs.py --pictures $(if $(RESULTS),--results $(RESULTS))
+	$(BIN)/python benchmarks/leaderboard.py $(if $(RESULTS),--take $(RESULTS))
 
 # Milliseconds of the kernels beside their readable twins (pytest-benchmark).
 kernels: install
