@@ -116,8 +116,9 @@ def test_covering(beside):
     u, v = at + np.array([0.0, 3.0, 3.0, 0.0]), at[::-1] + np.array([0.0, 0.0, 3.0, 3.0])
     u, v, w = u[0], v[1], rng.uniform(0.2, 2, (20_000, 4))
     fast, slow = np.zeros((300, 300)), np.zeros((30, 30))
+    part = u[:5], v[:5], w[:5]
     beside("register, covering", lambda: cover(u, v, w, fast), many=20_000, unit="quads",
-           twin=("every pixel of 30 x 30 asked", lambda: test_register.slow_cover(u[:5], v[:5], w[:5], slow)),
+           twin=("every pixel of 30 x 30 asked", lambda: test_register.slow_cover(*part, slow)),
            few=5)  # fmt: skip
 
 

@@ -84,7 +84,7 @@ def opencv_unwrap():
     def unwrap(phase):
         params = cv2.phase_unwrapping_HistogramPhaseUnwrapping_Params()
         params.height, params.width = phase.shape
-        # A second frame in the same object comes out wrong (5.0.0), so each has its own.
+        # In a second frame of the same object a pixel comes out wrong (5.0.0): each has its own.
         own = cv2.phase_unwrapping.HistogramPhaseUnwrapping_create(params)
         return own.unwrapPhaseMap(np.ascontiguousarray(phase, np.float32))
 
