@@ -57,6 +57,13 @@ def installed():
     return found
 
 
+def ratio(row):
+    """How many times our time the peer takes: at equal error where that is known."""
+    if row["equal_error_ms"] is not None:
+        return f"{row['equal_error_ms'] / row['our_ms']:.3g} at our error"
+    return f"{row['peer_ms'] / row['our_ms']:.3g}"
+
+
 def page(about, rows):
     names = ", ".join(f"{k} {v}" for k, v in about["versions"].items())
     cpu = about["machine"]
@@ -66,7 +73,7 @@ def page(about, rows):
             f"| {row['task']} | {row['ours']} | {number(row['our_error'], 1, '.2f')} "
             f"{row['error']} | {number(row['our_ms'])} | {row['peer']} | "
             f"{number(row['peer_error'], 1, '.2f')} {row['error']} | {number(row['peer_ms'])} | "
-            f"{number(row['peer_ms'] / row['our_ms'], 1, '.3g')} |"
+            f"{ratio(row)} |"
         )
     notes = [f"- {row['task']}, {row['ours']} and {row['peer']}: ms per {row['per']}"
              + (f"; {row['note']}" if row["note"] else "") + "." for row in rows]  # fmt: skip

@@ -7,8 +7,11 @@ import test_filter_flying_pixels as flying
 import test_filter_smooth
 import test_register
 from network_twin import described
+from test_response import twin as slow_response
+from test_transients import slow_scatter
 
-from toftools.calib._register_kernel import cover
+from toftools.calib._register_kernel import cover, pick
+from toftools.calib._response_kernel import linearise
 from toftools.calib.chain import applied, chain_for, extended
 from toftools.calib.fused import fused
 from toftools.correct._net_inputs import seen, view_of
@@ -16,6 +19,7 @@ from toftools.metrics.statistics import histogram
 from toftools.phasor import demodulate
 from toftools.registry import CORRECTIONS, FILTERS, METRICS
 from toftools.sensors import sensor
+from toftools.sim._density import scatter
 from toftools.sim.noise import capture_taps, clean_taps
 from toftools.sim.readout import expose
 from toftools.types import Capture, DepthMap, Phasors
@@ -120,6 +124,49 @@ def test_covering(beside):
     beside("register, covering", lambda: cover(u, v, w, fast), many=20_000, unit="quads",
            twin=("every pixel of 30 x 30 asked", lambda: test_register.slow_cover(*part, slow)),
            few=5)  # fmt: skip
+
+
+def test_picking(beside):
+    rng = np.random.default_rng(3)
+    image, nearest = (
+        rng.random((480, 640, 3)).astype(np.float32),
+        rng.choice([0.5, 1.0], (480, 640)),
+    )
+    place = rng.uniform(0, 639, N), rng.uniform(0, 479, N), rng.choice([0.5, 1], N)
+    lax, colours, status = np.full(N, 0.3), np.zeros((N, 3), np.float32), np.zeros(N, np.uint8)
+    few = tuple(part[:200] for part in place)
+    beside("register, picking", lambda: pick(place, lax, nearest, image, colours, status), many=N,
+           twin=("the same by loops",
+                 lambda: test_register.slow_pick(few, lax[:200], nearest, image)),
+           few=200)  # fmt: skip
+
+
+def test_response(beside):
+    rng = np.random.default_rng(3)
+    taps = rng.uniform(0, 1000, (8, 240, 320)).astype(np.float32)
+    offset = rng.normal(20, 5, (2, 240, 320)).astype(np.float32)
+    inverse = rng.uniform(0.9, 1.1, (2, 240, 320)).astype(np.float32)
+    curve = np.cumsum(rng.uniform(5, 15, 65)).astype(np.float32)
+    slope = (np.diff(curve) / 16).astype(np.float32)
+    intercept = (curve[:-1] - slope * 16 * np.arange(64)).astype(np.float32)
+    rest, valid = (16.0, (-40.0, 1080.0, 500.0)), np.ones((240, 320), bool)
+    some = (slice(None), slice(0, 12), slice(0, 16))
+    beside("response of raw taps", many=N, few=192,
+           kernel=lambda: linearise(taps, offset, inverse, intercept, slope, *rest, valid),
+           twin=("taps by loops",
+                 lambda: slow_response(taps[some], offset[some], inverse[some], curve, *rest,
+                                            valid[some[1:]])))  # fmt: skip
+
+
+def test_density_of_paths(beside):
+    rng = np.random.default_rng(4)
+    pixel, position = rng.integers(0, 64, 20_000), rng.uniform(0, 256, 20_000)
+    weight, values, missed = rng.random(20_000), np.zeros((64, 256)), np.zeros((64, 2))
+    some = list(zip(position[:100], weight[:100], strict=True))
+    beside("transient, density of path lengths", many=20_000, few=100, unit="samples",
+           kernel=lambda: scatter(values, missed, pixel, position, weight, 2.5, 2),
+           twin=("its integrals by loops",
+                 lambda: [slow_scatter(256, at, 2.5, w) for at, w in some]))  # fmt: skip
 
 
 def test_network_input(beside):

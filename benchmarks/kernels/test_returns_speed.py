@@ -10,7 +10,7 @@ import test_jimenez2014
 from reference_two_returns import cauchy_twin, ratio_twin, two_twin
 from test_heide2013 import HUBER
 
-from toftools.correct import godbaz2012_cauchy, godbaz2012_ratio
+from toftools.correct import _heide_fit, godbaz2012_cauchy, godbaz2012_ratio
 from toftools.correct._heide_solver import problem, transients
 from toftools.correct._jimenez_fit import misfit
 from toftools.correct._spectral_moments import pisarenko
@@ -113,7 +113,26 @@ def test_jimenez(beside):
            few=n**2, unit="pairs of nodes")  # fmt: skip
 
 
+def test_heide_fit(beside):
+    k = range_to_phase(1.0, np.arange(10e6, 170e6, 10e6))
+    truth = np.array([1.0, 2.0, 0.5, 6.0])
+    z = reference_heide.model(truth, k, 2, decay=False) + 0.01
+    start = truth + 0.03
+    p, normal = np.zeros(2 * _heide_fit.MOST + 2), np.empty((2 * _heide_fit.MOST + 2,) * 2)
+
+    def kernel():
+        for _ in range(100):
+            p[:4] = start
+            _heide_fit.fit(z, np.ones(k.size), k, 2, False, p, normal)
+
+    beside("heide2013, fit of two returns", kernel, many=100,
+           twin=("scipy's least squares",
+                 lambda: reference_heide.fit(z, k, start, 2, decay=False)))  # fmt: skip
+
+
 WHOLE = {
+    "auto": "kinect2_nominal:width=160,height=120",
+    "gupta2015": "phasor_imaging:width=160,height=120",
     "two_returns": "kinect2_nominal:width=160,height=120",
     "kirmani2013": f"deeptof:freqs={FIVE},width=160,height=120",
     "bhandari2014": f"deeptof:freqs={FIVE},width=160,height=120",

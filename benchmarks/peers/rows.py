@@ -39,6 +39,7 @@ class Row:
     peer_error: float
     peer_ms: float
     note: str = ""
+    equal_error_ms: float | None = None  # what the peer takes until its error is ours, if known
 
 
 def by_turns(runs, repeats):
@@ -164,7 +165,7 @@ def light_transport(*, quick, log):
     from . import reach
     from .views import CORNELL, View
 
-    size, samples, steps = ((24, 16), 16, 1) if quick else ((160, 120), 256, 4)
+    size, samples, steps = ((24, 16), 16, 1) if quick else ((160, 120), 256, 3)
     view = View(CORNELL, "cornell", "hfov_deg=39.3077", size, 8, samples, 4)
     with tempfile.TemporaryDirectory() as folder:
         found = radiosity.run_view(view, Path(folder), 1 if quick else 3, steps, log)
@@ -180,12 +181,12 @@ def light_transport(*, quick, log):
         until = reach.reach(theirs, our_m)
         note = "a process and all threads each"
         if until is not None:
-            note += f"; to our error the peer takes {until.seconds:.3g} s ({until.how})"
+            note += f"; the peer takes {until.seconds:.3g} s to our error ({until.how})"
         rows.append(
             Row(f"light transport, Cornell box {size[0]} x {size[1]}, 20 MHz", "rms mm", "frame",
                 f"{name}, {told}", 1e3 * our_m, 1e3 * our_s,
                 f"mitransient, {setting(theirs, tolerance=False)}", 1e3 * their_m, 1e3 * their_s,
-                note)
+                note, None if until is None else 1e3 * until.seconds)
         )  # fmt: skip
     return rows, missing
 
