@@ -99,6 +99,14 @@ def test_a_later_run_replaces_the_suite_and_leaves_other_machines(board, tmp_pat
     assert page == board.page(board.boards(tmp_path / "kept"))
 
 
+def test_axes_held_are_known_to_other_machines(board, tmp_path):
+    wide = [{**r, "machine": {**MACHINE, "threads": 8}} for r in ROWS]
+    page = made(board, tmp_path, run(tmp_path / "out"), run(tmp_path / "wide", wide, []))
+    eight = page.split("## some-brand-2ghz-8-threads")[1]
+    slow = next(line for line in cells(eight) if line[1] == "`slow`")
+    assert slow[-1] == "1 of 2" and "stress axes\n" not in eight
+
+
 def test_what_is_no_finished_run_is_refused(board, tmp_path, capsys):
     for folder, words in (
         (tmp_path, "give the folder of a finished"),
