@@ -57,6 +57,10 @@ def installed():
     return found
 
 
+def ms(value):
+    return f"{value:,.0f}" if value >= 100 else f"{value:.2f}"
+
+
 def ratio(row):
     """How many times our time the peer takes: at equal error where that is known."""
     if row["equal_error_ms"] is not None:
@@ -71,8 +75,8 @@ def page(about, rows):
     for row in rows:
         lines.append(
             f"| {row['task']} | {row['ours']} | {number(row['our_error'], 1, '.2f')} "
-            f"{row['error']} | {number(row['our_ms'])} | {row['peer']} | "
-            f"{number(row['peer_error'], 1, '.2f')} {row['error']} | {number(row['peer_ms'])} | "
+            f"{row['error']} | {ms(row['our_ms'])} | {row['peer']} | "
+            f"{number(row['peer_error'], 1, '.2f')} {row['error']} | {ms(row['peer_ms'])} | "
             f"{ratio(row)} |"
         )
     notes = [f"- {row['task']}, {row['ours']} and {row['peer']}: ms per {row['per']}"

@@ -97,6 +97,16 @@ def test_one_table_of_all_tasks(bench, monkeypatch, tmp_path):
     assert (tmp_path / "unwrapping_peers.md").is_file()
 
 
+def test_the_committed_pages_are_those_of_the_committed_figures(bench):
+    folder = ROOT / "docs" / "peers"
+    kept = json.loads((folder / "results.json").read_text())
+    page = bench("side_by_side").page(kept["about"], kept["rows"])
+    assert page == (folder / "index.md").read_text(encoding="utf-8")
+    kept = json.loads((folder / "unwrapping_peers.json").read_text())
+    page = bench("unwrapping_peers").page(kept)
+    assert page == (folder / "unwrapping_peers.md").read_text(encoding="utf-8")
+
+
 def test_kernels_stand_beside_their_twins(tmp_path):
     """The folder of kernels runs, and its table holds both times and their ratio."""
     file = tmp_path / "kernels.md"

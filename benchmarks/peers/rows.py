@@ -77,7 +77,7 @@ def light_between_patches(*, quick):
     exact = plain()
     error = np.abs(gather(some, some, light, freqs)[0] - exact).max() / np.abs(exact).max()
     task = f"light between {side} x {side} patches, 70 MHz"
-    return [Row(task, "1e-6 of the largest", "call", "_transfer.gather", 1e6 * float(error),
+    return [Row(task, "millionths of the largest", "call", "_transfer.gather", 1e6 * float(error),
                 ms["ours"], "plain numpy, float64", 0.0, ms["numpy"])], []  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def sparse_reflections(*, quick):
         same = float((np.abs(fast - slow) < 0.02).mean())
         errors = [1e3 * float(np.nanmedian(np.abs(m - truth[:side, :side]))) for m in (fast, slow)]
         rows.append(
-            Row(f"sparse reflections, two returns, {name}", "median mm", size(camera),
+            Row(f"sparse reflections, two returns, {name}", "mm median", size(camera),
                 "sra", errors[0], ms["ours"], "scipy linprog per pixel", errors[1],
                 ms["program"] * truth.size / side**2,
                 f"linprog timed on {side**2} pixels; {100 * same:.1f} % of them agree within 2 cm")
@@ -143,7 +143,7 @@ def unwrapping(result):
             a, b = found[mine], found[peer]
             wrong = f"wrong wraps {100 * a['wrong']:.2f} %, peer {100 * b['wrong']:.2f} %"
             rows.append(
-                Row(f"unwrapping, {scene}", "mean mm", per, mine, 1e3 * a["mae_m"],
+                Row(f"unwrapping, {scene}", "mm mean", per, mine, 1e3 * a["mae_m"],
                     a["ms"], peer, 1e3 * b["mae_m"], b["ms"], wrong)
             )  # fmt: skip
     return rows, result["about"]["missing"]
@@ -183,7 +183,7 @@ def light_transport(*, quick, log):
         if until is not None:
             note += f"; the peer takes {until.seconds:.3g} s to our error ({until.how})"
         rows.append(
-            Row(f"light transport, Cornell box {size[0]} x {size[1]}, 20 MHz", "rms mm", "frame",
+            Row(f"light transport, Cornell box {size[0]} x {size[1]}, 20 MHz", "mm rms", "frame",
                 f"{name}, {told}", 1e3 * our_m, 1e3 * our_s,
                 f"mitransient, {setting(theirs, tolerance=False)}", 1e3 * their_m, 1e3 * their_s,
                 note, None if until is None else 1e3 * until.seconds)
