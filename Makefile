@@ -9,7 +9,7 @@ ifneq ($(wildcard ../shared/data/real),)
 export TOFTOOLS_DATA ?= $(abspath ../shared/data/real)
 endif
 
-.PHONY: test bench docs kernels lint types pytest install clean
+.PHONY: test bench docs kernels peers lint types pytest install clean
 
 install: $(VENV)/.installed
 
@@ -43,7 +43,13 @@ docs: install
 	$(BIN)/python benchmarks/long_range.py --out docs/long_range
 	$(BIN)/python benchmarks/proofs.py
 	$(BIN)/python benchmarks/make_docs.py --pictures $(if $(RESULTS),--results $(RESULTS))
+	$(BIN)/python benchmarks/leaderboard.py $(if $(RESULTS),--take $(RESULTS))
 
-# Milliseconds of the kernels beside their readable twins (pytest-benchmark).
+# Milliseconds of the kernels beside their readable twins (pytest-benchmark); TABLE=FILE keeps them.
 kernels: install
-	$(BIN)/python -m pytest benchmarks/kernels -o addopts="" -p no:dash --benchmark-only
+	$(BIN)/python -m pytest benchmarks/kernels -o addopts="" -p no:dash --benchmark-only $(if $(TABLE),--table $(TABLE))
+
+# Ours and other people's side by side, in one run; says which of them are not installed.
+peers: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[peers]'
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/side_by_side.py --out docs/peers

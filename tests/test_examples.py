@@ -1,5 +1,6 @@
 """Every example and every command of the README really runs."""
 
+import json
 import os
 import re
 import subprocess
@@ -9,9 +10,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+METHOD = ROOT / "examples" / "your_method.py"  # no program: the commands of the README run it
+EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {METHOD})
 # Commands that CI runs elsewhere or that need a display or minutes.
 ELSEWHERE = ("--view", "bench full", "bench core", "bench real")
+TUTORIAL = [
+    "cp examples/your_method.py .",
+    "toftools bench quick --method your_method:make --out out/mine",
+]
 OTHERS = ("make ", "git ", "cd ", "python3 ")
 
 
@@ -37,13 +43,45 @@ def test_readme_commands_run_in_order(tmp_path):
     commands = [c for c in readme_commands()
                 if not c.startswith(OTHERS) and not any(s in c for s in ELSEWHERE)]  # fmt: skip
     assert len(commands) >= 5
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
-                   "PYTHONPATH": str(tmp_path)}  # fmt: skip
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    for command in commands:
-        done = subprocess.run(command, shell=True, cwd=tmp_path, env=environment,
-                              capture_output=True, text=True, check=False)  # fmt: skip
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    printed = {command: typed(command, tmp_path) for command in commands}
+    check_own_method(tmp_path / "out" / "mine", printed[TUTORIAL[-1]])
+
+
+def typed(command, folder):
+    """What a command prints, run in a folder as a user types it there: nothing is on a path."""
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    done = subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True,
+                          text=True, check=False)  # fmt: skip
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def check_own_method(out, printed):
+    """The method of the tutorial has its row in the results, in the terminal and in the report."""
+    rows = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    mine = [row for row in rows if row["method"] == "your_method:make"]
+    assert [row["status"] for row in mine] == ["ok"] * 3
+    errors = {row["capture"].partition("-")[0]: row["metrics"]["mae_m"] for row in mine}
+    assert errors["wall"] < 0.01  # noise alone
+    # Bounces and second returns move 70 MHz less than the mean of both frequencies.
+    assert all(row["metrics"]["mae_m"] < 1.3 * row["metrics"]["input_mae_m"] for row in mine)
+    assert errors["corner"] < 0.05 and errors["two_returns"] < 0.08
+    assert all(row["ms"] > 0 and row["metrics"]["valid_share"] > 0.99 for row in mine)
+    shown = next(line for line in printed.splitlines() if line.startswith("your_method:make"))
+    assert shown.split()[1] == f"{100 * sum(errors.values()) / 3:.2f}"
+    assert "your_method:make" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_tutorial_is_short_and_its_commands_are_the_readmes():
+    code = METHOD.read_text(encoding="utf-8").split("\ndef make", 1)[1]
+    assert len([line for line in code.splitlines() if line.strip()]) <= 10
+    text = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    assert METHOD.read_text(encoding="utf-8").split('"""')[2].strip() in text
+    commands = readme_commands()
+    assert METHOD.read_text(encoding="utf-8").split('"""')[1].strip().splitlines()[-2:] == TUTORIAL
+    for command in TUTORIAL:
+        assert command in commands and f"\n{command}\n" in text
 
 
 def test_readme_python_blocks_run(tmp_path):

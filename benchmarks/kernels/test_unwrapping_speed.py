@@ -19,7 +19,15 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from reference_unwrapping import numpy_crt
 
 SENSORS = ("opt8241", "kinect2_nominal")
-METHODS = ("single", "crt", "residual_voting", "kde", "kde:hypotheses=4", "kde:window_px=11")
+METHODS = (
+    "single",
+    "crt",
+    "residual_voting",
+    "kde",
+    "kde:hypotheses=4",
+    "kde:window_px=11",
+    "semi_global",
+)
 
 
 def frame(name):
