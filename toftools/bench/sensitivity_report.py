@@ -59,9 +59,9 @@ def local(out: Path, rows: Sequence[Row]) -> dict[str, Any]:
     lines = _lines([row for row in mine if "axis" in row], _breaks(out))
     if lines:
         _write(out, lines)
-    body = [[label, *_cells(_medians(part)), _missing(part)] for label, part in by_label.items()]
+    body = [[label, *_cells(_medians(part)), _failed(part)] for label, part in by_label.items()]
     return {
-        "table": {"head": ["method", *(c[0] for c in COLUMNS), "without"], "rows": body},
+        "table": {"head": ["method", *(c[0] for c in COLUMNS), "failed"], "rows": body},
         "notes": _notes(by_label),
         "axes": [_axis(name, lines) for name in dict.fromkeys(line["axis"] for line in lines)],
     }
@@ -105,7 +105,7 @@ def _cells(figures: Mapping[str, float]) -> list[str]:
     return [number(figures[name], scale, form) for _, name, scale, form in COLUMNS]
 
 
-def _missing(rows: Sequence[Row]) -> str:
+def _failed(rows: Sequence[Row]) -> str:
     """How many points have no sensitivities."""
     without = sum(not row.get("sensitivity") for row in rows)
     return f"{without} of {len(rows)}" if without else ""
@@ -169,7 +169,10 @@ def _axis(name: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for line in lines
         if line["axis"] == name and line["place"]
     ]  # fmt: skip
-    return {"name": name, "table": {"head": ["method", "", *(c[0] for c in COLUMNS)], "rows": body}}
+    return {
+        "name": name,
+        "table": {"head": ["method", "where", *(c[0] for c in COLUMNS)], "rows": body},
+    }
 
 
 def _write(out: Path, lines: Sequence[Mapping[str, Any]]) -> None:

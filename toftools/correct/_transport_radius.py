@@ -9,9 +9,12 @@ at most this one (A. Berman, R. J. Plemmons, "Nonnegative matrices in the mathem
 SIAM 1994, chapter 2; textbook). It is what multiplies an error of the geometry that comes back
 through the transport.
 
-By power iteration over steps of two bounces: two walls that light only each other have the
-eigenvalues r and -r, between which single steps swing. Inputs: a range, albedos, patches. Fails as
-the transport does: nothing stands between patches, and what is out of view is not there.
+By power iteration. In the norm with weights of area over albedo ``R T`` is self-adjoint (but for
+the areas in the denominators of `_transfer`), so that the growth of that norm is the root of a
+Rayleigh quotient of ``(R T)^2``: it converges at twice the rate of the vector, and also where two
+walls light only each other, whose eigenvalues r and -r leave the vector swinging. Inputs: a range,
+albedos, patches. Fails as the transport does: nothing stands between patches, and what is out of
+view is not there; and where noise hides a crease, as the methods themselves then do.
 """
 
 from dataclasses import replace
@@ -29,8 +32,8 @@ from toftools.types import F32, DepthMap, Sensor
 MOST_BLOCKS = 2048
 """Larger frames are merged into as many: against twice as many the radius of a corner differs by
 1 to 4 %, in a quarter of the time."""
-TOLERANCE, MOST_STEPS = 1e-4, 100
-"""Relative change of the radius over two bounces that ends the iteration; twice as many bounces."""
+TOLERANCE, MOST_STEPS = 1e-4, 200
+"""Relative change of the radius over a bounce that ends the iteration; most bounces."""
 
 
 def spectral_radius(sensor: Sensor, depth: DepthMap) -> float:
@@ -107,15 +110,17 @@ def radius_of(patches: Patches, albedo: F32) -> float:
     >>> round(radius_of(two, np.array([0.5, 0.5], np.float32)), 4)
     0.1
     """
-    light, radius = np.ones((1, albedo.size), np.complex64), 0.0
+    if not (albedo > 0).any():
+        return 0.0
     still = np.zeros(1)  # Hz: light without phases
-    for _ in range(MOST_STEPS if albedo.size else 0):
-        before = radius
-        for _ in range(2):
-            light = (albedo * gather(patches, patches, light, still)).astype(np.complex64)
-        size = float(np.abs(light).max())
-        radius = float(np.sqrt(size))
-        if size == 0 or abs(radius - before) <= TOLERANCE * radius:
+    weight = np.where(albedo > 0, patches.area_m2 / np.where(albedo > 0, albedo, 1), 0)
+    light, size, radius = (albedo > 0).astype(np.complex64)[None], 1.0, 0.0
+    for step in range(MOST_STEPS):
+        before, last = radius, size
+        light = (albedo * gather(patches, patches, light, still)).astype(np.complex64)
+        size = float(np.sqrt(np.sum(weight * np.abs(light[0]) ** 2, dtype=np.float64)))
+        radius = size / last if step else 0.0
+        if size == 0 or (step > 1 and abs(radius - before) <= TOLERANCE * radius):
             break
-        light /= np.float32(size)
+        light, size = light / np.float32(size), 1.0
     return radius
