@@ -27,7 +27,8 @@ def noisier(phasors: Phasors) -> Phasors:
     Phasors
         Perturbed, of the same sigma.
     """
-    draw = np.random.default_rng(SEED).standard_normal((2, *phasors.values.shape))
+    rng = np.random.default_rng(SEED)
+    draw = rng.standard_normal((2, *phasors.values.shape))
     sigma = np.asarray(phasors.sigma)
     return replace(
         phasors, values=_kept(phasors, phasors.values + sigma * (draw[0] + 1j * draw[1]))
