@@ -50,12 +50,17 @@ def local(out: Path, rows: Sequence[Row]) -> dict[str, Any]:
     dict
         For the template; empty where no sensitivity was asked for.
     """
-    mine = [row for row in rows if row.get("sensitivity") or row.get("sensitivity_error")]
-    if not mine:
-        return {}
+    asked = {
+        label_of(row) for row in rows if row.get("sensitivity") or row.get("sensitivity_error")
+    }
     by_label: dict[str, list[Row]] = {}
-    for row in mine:
-        by_label.setdefault(label_of(row), []).append(row)
+    for row in rows:
+        # A point that failed has no figures, and counts.
+        if label_of(row) in asked and row["status"] not in ("unsuited", "missing"):
+            by_label.setdefault(label_of(row), []).append(row)
+    if not by_label:
+        return {}
+    mine = [row for part in by_label.values() for row in part]
     lines = _lines([row for row in mine if "axis" in row], _breaks(out))
     if lines:
         _write(out, lines)
@@ -116,7 +121,8 @@ def _notes(by_label: Mapping[str, Sequence[Row]]) -> list[str]:
     return [
         f"{label}: {said}"
         for label, rows in by_label.items()
-        for said in dict.fromkeys(r["sensitivity_error"] for r in rows if r["sensitivity_error"])
+        for said in dict.fromkeys(r.get("sensitivity_error") for r in rows)
+        if said
     ]
 
 
