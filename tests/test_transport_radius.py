@@ -63,14 +63,16 @@ def test_a_closed_sphere_keeps_the_share_of_its_albedo(albedo):
 
 
 def test_light_that_only_goes_to_and_fro_has_a_radius_too():
-    # Two squares face each other: eigenvalues r and -r, between which single steps would swing.
+    # Two squares of unlike size face each other: eigenvalues r and -r, between which single
+    # bounces would swing.
     side = (np.arange(6) - 2.5) / 6
     x, y = (a.ravel() for a in np.meshgrid(side, side))
-    flat = np.stack([x, y, np.zeros_like(x)])
-    above = np.stack([x, y, np.full_like(x, 0.5)])
-    at = np.concatenate([flat, above], axis=1).astype(np.float32)
+    small, large = (
+        np.stack([scale * x, scale * y, np.full_like(x, z)]) for scale, z in ((1, 0), (3, 0.5))
+    )
+    at = np.concatenate([small, large], axis=1).astype(np.float32)
     normal = np.repeat(np.array([[0, 0], [0, 0], [1, -1.0]]), 36, axis=1).astype(np.float32)
-    plates = Patches(at, normal, np.full(72, 1 / 36, np.float32))
+    plates = Patches(at, normal, np.repeat(np.array([1, 9], np.float32) / 36, 36))
     albedo = np.repeat(np.array([0.9, 0.3], np.float32), 36)
     wanted = np.linalg.eigvals(dense(plates, albedo))
     assert wanted.real.min() == pytest.approx(-np.abs(wanted).max(), rel=1e-6)

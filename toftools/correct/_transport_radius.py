@@ -9,10 +9,11 @@ at most this one (A. Berman, R. J. Plemmons, "Nonnegative matrices in the mathem
 SIAM 1994, chapter 2; textbook). It is what multiplies an error of the geometry that comes back
 through the transport.
 
-By power iteration. In the norm with weights of area over albedo ``R T`` is self-adjoint (but for
-the areas in the denominators of `_transfer`), so that the growth of that norm is the root of a
-Rayleigh quotient of ``(R T)^2``: it converges at twice the rate of the vector, and also where two
-walls light only each other, whose eigenvalues r and -r leave the vector swinging. Inputs: a range,
+By power iteration, the radius being the growth over two bounces: two walls that light only each
+other have the eigenvalues r and -r, between which single bounces swing. The norm has weights of
+area over albedo, in which ``R T`` is self-adjoint but for the areas in the denominators of
+`_transfer`: that growth is then the root of a Rayleigh quotient and converges at twice the rate of
+the vector. Inputs: a range,
 albedos, patches. Fails as the transport does: nothing stands between patches, and what is out of
 view is not there; and where noise hides a crease, as the methods themselves then do.
 """
@@ -114,13 +115,17 @@ def radius_of(patches: Patches, albedo: F32) -> float:
         return 0.0
     still = np.zeros(1)  # Hz: light without phases
     weight = np.where(albedo > 0, patches.area_m2 / np.where(albedo > 0, albedo, 1), 0)
-    light, size, radius = (albedo > 0).astype(np.complex64)[None], 1.0, 0.0
+    light = (albedo > 0).astype(np.complex64)[None]
+    radius, growth = 0.0, np.zeros(2)  # of the last bounce and of the one before
     for step in range(MOST_STEPS):
-        before, last = radius, size
+        before = radius
         light = (albedo * gather(patches, patches, light, still)).astype(np.complex64)
         size = float(np.sqrt(np.sum(weight * np.abs(light[0]) ** 2, dtype=np.float64)))
-        radius = size / last if step else 0.0
-        if size == 0 or (step > 1 and abs(radius - before) <= TOLERANCE * radius):
+        if size == 0:
+            return 0.0
+        light /= np.float32(size)
+        growth[:] = size, growth[0]
+        radius = float(np.sqrt(growth.prod()))
+        if step > 2 and abs(radius - before) <= TOLERANCE * radius:
             break
-        light, size = light / np.float32(size), 1.0
     return radius
