@@ -31,8 +31,9 @@ from toftools.correct._wraps import Candidates
 from toftools.types import F32, DepthMap, Sensor
 
 MOST_BLOCKS = 2048
-"""Larger frames are merged into as many: against twice as many the radius of a corner differs by
-1 to 4 %, in a quarter of the time."""
+"""Larger frames are merged into as many. Corners of 60 to 120 degrees in 160 x 120 pixels have
+radii within 8 % of each other for 512 to 8192 blocks. One core: 11 ms for 64 x 48 pixels, 0.1 s for
+320 x 240."""
 TOLERANCE, MOST_STEPS = 1e-4, 200
 """Relative change of the radius over a bounce that ends the iteration; most bounces."""
 
