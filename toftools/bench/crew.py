@@ -148,6 +148,8 @@ def _begin(task: Task, out: Path, file: Path, settings: Settings, stamp: dict[st
         "points": points,
         "repeats": 1 if task.untimed else settings.repeats,
         "batch": settings.batch and not task.untimed,
+        "sensitivity": settings.sensitivity and not task.untimed,
+        "timeout_s": settings.timeout_s,
         "stamp": {"fingerprint": task.fingerprint, **stamp},
         "folder": task.folder,
     }

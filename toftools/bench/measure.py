@@ -35,9 +35,10 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
     Returns
     -------
     dict
-        ``status``, ``depth`` and, for real methods, ``setup_s``, ``first_call_s``, ``ms``,
-        ``ms_iqr``, ``calls``, and ``peak_mb``, the highest memory above what the process held
-        before the method was loaded; or status ``unsuited`` and the method's reason.
+        ``status``, ``depth``, ``run``, the method as it was built, and, for real methods,
+        ``setup_s``, ``first_call_s``, ``ms``, ``ms_iqr``, ``calls``, and ``peak_mb``, the highest
+        memory above what the process held before the method was loaded; or status ``unsuited``
+        and the method's reason.
 
     Raises
     ------
@@ -68,7 +69,7 @@ def measure(capture: Capture, method: str, params: dict[str, Any], repeats: int)
     if _digest(capture, phasors) != before:
         msg = "the method changed its input, which others see too; it must work on a copy"
         raise ValueError(msg)
-    return {"status": "ok", **result}
+    return {"status": "ok", "run": run, **result}
 
 
 def prime(capture: Capture, method: Spec | Chain, params: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.plan import read_plan
 from toftools.bench.render import cells, headings, number
 from toftools.bench.score import read_rows
+from toftools.bench.sensitivity_report import local
 from toftools.bench.stress_report import stress
 from toftools.bench.table import Line, groups, label_of, summarise, unsuited
 from toftools.io.atomic import atomic_path
@@ -55,6 +56,7 @@ def report(out: Path) -> Path:
         suite=rows[0]["suite"] if rows else "",
         sections=sections,
         stress=stress(out, [row for row in rows if "axis" in row], plan.get("axes", {})),
+        local=local(out, rows),  # after stress, which writes where methods break
         counts=_counts(rows),
         machine=timed[0]["machine"] if timed else {},
         versions=timed[0]["versions"] if timed else {},

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.bound import median_bound_m
 from toftools.bench.plan import Point, read_plan
 from toftools.bench.results import read_result, result_path
 from toftools.io.atomic import atomic_path
@@ -151,6 +152,7 @@ class _Scorer:
         self.masks: dict[str, Bool] = {}
         self.input: dict[str, float] = {}
         self.wrap_m = float("inf")
+        self.bound_m: float | None = None
 
     @classmethod
     def of(cls, out: Path, item: Mapping[str, Any], limits: Mapping[str, float]) -> "_Scorer":
@@ -166,6 +168,8 @@ class _Scorer:
                 truth=Truth(truth.range_m),
             )
             scorer.masks = regions(scored, **limits)
+            freqs_hz = capture.sensor.modulation.freqs_hz
+            scorer.bound_m = median_bound_m(phasors_of(scored), freqs_hz, scorer.masks["all"])
             plain = uncorrected(capture, limits["max_range_m"])
             scorer.input = evaluate(plain, truth, scorer.masks, scorer.wrap_m)
         return scorer
@@ -184,9 +188,12 @@ def _row(
         "method": point.method,
         "params": dict(point.params),
         "against": scorer.against,
+        "bound_m": scorer.bound_m,
         "metrics": {},
         **{key: result.get(key) for key in ("status", "error", "setup_s", "first_call_s", "ms",
-                                           "ms_iqr", "peak_mb", "versions", "machine")},
+                                           "ms_iqr", "peak_mb", "versions", "machine",
+                                           "sensitivity", "sensitivity_error",
+                                           "spectral_radius")},
     }  # fmt: skip
     if result["status"] != "ok":
         return row

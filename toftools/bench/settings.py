@@ -28,6 +28,8 @@ class Settings:
         Memory a worker may hold, MB; None for `usual_limit_mb` of the machine it is on.
     cluster : str
         Address of the Dask scheduler whose workers run the points; empty for this machine.
+    sensitivity : bool
+        After the timed calls, each method is run on perturbed input too.
     """
 
     repeats: int
@@ -37,6 +39,7 @@ class Settings:
     batch: bool = False
     memory_mb: float | None = None
     cluster: str = ""
+    sensitivity: bool = False
 
     def company(self) -> dict[str, Any]:
         """What else a point's times depend on, beside code and threads."""
@@ -45,6 +48,7 @@ class Settings:
     def fingerprint(self, point: Point) -> str:
         """Fingerprint of a point under these settings."""
         targets = [spec.target for spec in specs_of(method_of(point.method))]
+        company = {**self.company(), "sensitivity": self.sensitivity}
         return point_fingerprint(
-            *targets, repeats=self.repeats, threads=self.threads, company=self.company()
+            *targets, repeats=self.repeats, threads=self.threads, company=company
         )

@@ -21,7 +21,7 @@ from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
 _KEYS = ("name", "captures", "scenes", "axis", "sensor", "engine", "tol_mm", "methods", "grid",
-         "repeats", "batch", "mask")  # fmt: skip
+         "repeats", "batch", "sensitivity", "mask")  # fmt: skip
 _SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
 
 
@@ -45,6 +45,8 @@ class Suite:
         Timed runs per point.
     batch : bool
         Points of one method share a process.
+    sensitivity : bool
+        Each method is run on perturbed input too, after it was timed.
     min_range_m, max_range_m : float
         Truth outside is not scored.
     """
@@ -56,6 +58,7 @@ class Suite:
     grid: Mapping[str, Mapping[str, tuple[Any, ...]]] = field(default_factory=dict)
     repeats: int = 11
     batch: bool = False
+    sensitivity: bool = False
     min_range_m: float = 0.0
     max_range_m: float = float("inf")
 
@@ -141,6 +144,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
         },
         repeats=repeats,
         batch=flag_of(table, "batch", where),
+        sensitivity=flag_of(table, "sensitivity", where),
         min_range_m=low,
         max_range_m=high,
     )

@@ -10,6 +10,7 @@ import gc
 import json
 import os
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from toftools.bench.memory import go_first
 from toftools.bench.methods import method_of
 from toftools.bench.plan import write_json
 from toftools.bench.references import REFERENCES
+from toftools.bench.sensitivity import local_measures
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.types import DepthMap
@@ -68,13 +70,17 @@ def _models(depth: DepthMap) -> tuple[Any, Any]:
     return model, names
 
 
-def _finish(job: Mapping[str, Any], point: Mapping[str, Any]) -> dict[str, Any]:
+def _finish(job: Mapping[str, Any], point: Mapping[str, Any], ends_s: float) -> dict[str, Any]:
     """Run a point to its end; its result."""
     try:
         capture = read_capture(point["capture"])
         result = measure(capture, job["method"], point["params"], int(job["repeats"]))
-        if "depth" in result:
-            _store_answer(Path(point["answer"]), result.pop("depth"))
+        run, depth = result.pop("run", None), result.pop("depth", None)
+        if depth is not None:
+            _store_answer(Path(point["answer"]), depth)
+        if job["sensitivity"] and "ms" in result:  # references are not timed
+            left_s = ends_s - time.monotonic()
+            result |= local_measures(run, capture, depth, call_s=1e-3 * result["ms"], left_s=left_s)
     except BaseException as error:  # a method's failure is a result, whatever it raises
         return {"status": "failed", "error": sentence(error)}
     return result
@@ -105,9 +111,11 @@ def main(job_file: str) -> None:
     Parameters
     ----------
     job_file : str
-        JSON with method, repeats, a stamp for all results, a progress file, and for each point
-        capture, params, answer and result paths.
+        JSON with method, repeats, whether sensitivities are wanted, the limit of time, a stamp
+        for all results, a progress file, and for each point capture, params, answer and result
+        paths.
     """
+    began_s = time.monotonic()
     job = json.loads(Path(job_file).read_text(encoding="utf-8"))
     die_with_parent(int(job["parent"]))
     go_first()
@@ -119,7 +127,9 @@ def main(job_file: str) -> None:
         if job["batch"]:
             _tidy()
             Path(job["progress"]).write_text(str(number), encoding="ascii")
-        write_json(Path(point["result"]), {**_finish(job, point), **job["stamp"]})
+            began_s = time.monotonic()
+        ends_s = began_s + float(job["timeout_s"])
+        write_json(Path(point["result"]), {**_finish(job, point, ends_s), **job["stamp"]})
 
 
 if __name__ == "__main__":

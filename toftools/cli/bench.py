@@ -159,7 +159,7 @@ def _settings(
         raise ValueError(msg)
     return Settings(
         suite.repeats, threads, timeout_s, jobs=jobs or 1, batch=suite.batch,
-        memory_mb=memory_mb, cluster=dask or "",
+        memory_mb=memory_mb, cluster=dask or "", sensitivity=suite.sensitivity,
     )  # fmt: skip
 
 

@@ -114,7 +114,7 @@ def freed(phasors: Phasors, view: Optics, recipe: Recipe) -> DepthMap:
     values = np.ascontiguousarray(np.where(valid, phasors.values, np.complex64(0)))
     known = Phasors(values, phasors.sigma, valid)
     state = _start(plain, values, recipe)
-    reach = _reach_px(view, plain, valid, known=phasors.sigma is not None)
+    reach = reach_px(view, plain, valid, known=phasors.sigma is not None)
     before = recipe.iterations - 1
     if before and recipe.stride_px > 1 and min(valid.shape) >= LEAST_PREVIEW_PX:
         state = _previewed(state, known, view, recipe, reach)
@@ -161,7 +161,7 @@ def _previewed(state: _State, phasors: Phasors, view: Optics, recipe: Recipe, re
     return replace(state, found=replace(state.found, range_m=range_m))
 
 
-def _reach_px(view: Optics, plain: Candidates, valid: Bool, *, known: bool) -> int:
+def reach_px(view: Optics, plain: Candidates, valid: Bool, *, known: bool) -> int:
     """Windows that average enough."""
     if not (known and valid.any()):
         return 1
