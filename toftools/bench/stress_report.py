@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.figures import slug
 from toftools.bench.render import number
 from toftools.bench.stability import Course, Stability, courses, stability
 from toftools.io.atomic import atomic_path
@@ -56,7 +57,7 @@ def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]
     labels = list(dict.fromkeys(course.label for course, _ in found))
     cells = {(told.axis, told.label): told for _, told in found}
     return {
-        "axes": [{"name": name, "id": _slug(name)} for name in names],
+        "axes": [{"name": name, "id": slug(name)} for name in names],
         "methods": [
             {"label": label, "cells": [_cell(cells.get((name, label))) for name in names]}
             for label in labels
@@ -68,7 +69,7 @@ def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]
 def _cell(told: Stability | None) -> dict[str, str]:
     """One field of the matrix."""
     if told is None:
-        return {"text": "–", "style": "", "tip": "does not apply", "flags": ""}
+        return {"text": "–", "style": "", "tip": "does not apply", "flags": "", "share": ""}
     text = "holds" if told.breaks_at is None else written(told.breaks_at)
     ends = ["beyond" if end is None else written(end) for end in (told.low, told.high)]
     tip = f"{told.label} on {told.axis}: {WHY[told.why]}"
@@ -81,7 +82,8 @@ def _cell(told: Stability | None) -> dict[str, str]:
         tip += "; " + ", ".join(told.flags)
     marks = {"unstable": "u", "overconfident": "o", "fails": "f"}
     return {"text": text, "style": _colour(told.share), "tip": tip,
-            "flags": "".join(marks[flag] for flag in told.flags)}  # fmt: skip
+            "flags": "".join(marks[flag] for flag in told.flags),
+            "share": f"{told.share:.4f}"}  # fmt: skip
 
 
 def _colour(share: float) -> str:
@@ -102,7 +104,7 @@ def _curves(
     strains += [Strain(c.label, c.error_m) for c, _ in mine
                 if c.values.size == longest.values.size]  # fmt: skip
     svg = stress_svg(longest.values.tolist(), strains, title=name, name=about or name)
-    (out / "figures" / f"axis-{_slug(name)}.svg").write_text(svg, encoding="utf-8")
+    (out / "figures" / f"axis-{slug(name)}.svg").write_text(svg, encoding="utf-8")
     head = ["method", "benign cm", "breaks at", "95 % from", "to", "cm per unit", "in 68 %",
             "in 95 %", "worst 1 % benign, cm", "warnings"]  # fmt: skip
     body = [
@@ -112,7 +114,7 @@ def _curves(
          number(_benign(c.worst_m), 100), ", ".join((*t.flags, *c.failures))]
         for c, t in mine
     ]  # fmt: skip
-    return {"name": name, "id": _slug(name), "about": about, "svg": svg,
+    return {"name": name, "id": slug(name), "about": about, "svg": svg,
             "table": {"head": head, "rows": body}}  # fmt: skip
 
 
@@ -124,10 +126,6 @@ def _benign(figures: Any) -> float | None:  # noqa: ANN401 - an array
     """Mean over the seeds of the easiest value."""
     first = figures[0][np.isfinite(figures[0])]
     return float(first.mean()) if first.size else None
-
-
-def _slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in name)
 
 
 def _write_tables(out: Path, told: Sequence[Stability]) -> None:
