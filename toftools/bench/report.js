@@ -83,9 +83,11 @@
     svg.addEventListener("pointerleave", (event) => { if (event.pointerType === "mouse") leave(); });
     svg.addEventListener("focusin", ({ target }) => { if (target.matches(":focus-visible")) meet(target); });
     svg.addEventListener("focusout", leave);
-    svg.addEventListener("click", ({ target }) => {
-      toggle(target.closest("[data-series]")?.dataset.series ?? null);
-    });
+    // A finger picks the nearest thing that listens itself: each part does, so that none loses.
+    for (const part of svg.querySelectorAll("[data-series]")) {
+      part.addEventListener("click", () => toggle(part.dataset.series));
+    }
+    svg.addEventListener("click", ({ target }) => { if (!target.closest("[data-series]")) toggle(null); });
     svg.addEventListener("keydown", (event) => {
       if (event.key === "Escape") { leave(); toggle(null); }
       if (event.key !== "Enter" && event.key !== " ") return;
