@@ -78,6 +78,7 @@ def several():
     rows += [row("odd", None, capture=c, status="unsuited") for c in "ab"]
     rows += [row(m, e, capture="c", group="h", ms=2.0) for m, e in
              (("fast", 0.01), ("best", 0.02), ("equal", 0.03), ("odd", 0.04))]  # fmt: skip
+    rows.append(row("fast", 0.001, capture="d", group="camera alone", against="camera"))
     return rows
 
 
@@ -328,9 +329,10 @@ def folder(tmp_path, monkeypatch):
         'name = "s"\nmethods = ["crt"]\nsensor = "opt8241:width=12,height=9"\n'
         'scenes = ["wall:range=2", "two_returns:range=2"]\n'
     )
-    make_plan(load_suite(str(tmp_path / "s.toml")), tmp_path / "out")
-    items = json.loads((tmp_path / "out" / "plan.json").read_text())["captures"]
-    return tmp_path / "out", [item["id"] for item in items]
+    out = tmp_path / "three" / "folders" / "deep"
+    make_plan(load_suite(str(tmp_path / "s.toml")), out)
+    items = json.loads((out / "plan.json").read_text())["captures"]
+    return out, [item["id"] for item in items]
 
 
 def store(out, rows):
@@ -410,7 +412,7 @@ def test_the_page_loads_nothing_and_runs_its_own_script_only(folder):
 EVIL = '"><script>alert(1)</script><img src=x onerror=alert(2)> $\\bad{$ 漢'
 
 
-def test_names_and_errors_are_shown_and_never_run_and_never_a_path(folder):
+def test_names_and_errors_are_shown_and_never_run_and_never_a_path(folder, tmp_path):
     out, ids = folder
     rows = usual(ids)
     for one in rows:
@@ -425,7 +427,7 @@ def test_names_and_errors_are_shown_and_never_run_and_never_a_path(folder):
                     error=f"died {EVIL}"))  # fmt: skip
     rows.append(row(f"none{EVIL}", None, capture=ids[0], group=rows[0]["group"],
                     status="unsuited", error=EVIL, params={EVIL: EVIL}))  # fmt: skip
-    before = {path for path in out.parent.parent.rglob("*") if out not in path.parents}
+    before = {path for path in tmp_path.rglob("*") if out not in path.parents}
     store(out, rows)
     plan = json.loads((out / "plan.json").read_text())
     plan["axes"] = {f"../../axis{EVIL}": f"about {EVIL}"}
@@ -435,7 +437,7 @@ def test_names_and_errors_are_shown_and_never_run_and_never_a_path(folder):
     for svg in (out / "figures").glob("*.svg"):
         tags = {e.tag.removeprefix(SVG) for e in ElementTree.parse(svg).iter()}
         assert tags <= {"svg", "title", "rect", "path", "text", "g", "circle"}, svg
-    assert {path for path in out.parent.parent.rglob("*") if out not in path.parents} == before
+    assert {path for path in tmp_path.rglob("*") if out not in path.parents} == before
     assert all(path.parent == out / "figures" for path in (out / "figures").rglob("*"))
     assert len(list((out / "figures").glob("pareto-*.svg"))) == 1
 

@@ -5,6 +5,7 @@ settings that answer every capture). Ranks go by that error rounded to three sig
 equal errors have equal ranks, and the next rank counts all before it (1, 1, 3). Methods that do not
 answer every capture share the place after all that do. Methods that suit none of the captures of a
 group, and references, have no rank there; the mean rank is over the groups that a method suits.
+Groups without truth are left out: to be near the camera's own distance is to share its multipath.
 
 On stress axes a method stands with the setting that survives most: the mean over its axes of the
 share of the axis before it breaks, rounded to a tenth of a percent.
@@ -123,8 +124,7 @@ def standings(
     list of Standing
         One per method that has a rank anywhere.
     """
-    plain = [row for row in rows if "axis" not in row]
-    chosen = {name: best_of_each(entries(mine)) for name, mine in groups(plain).items()}
+    chosen = {name: best_of_each(entries(mine)) for name, mine in _groups(rows).items()}
     chosen = {name: best for name, best in chosen.items() if best}
     ranks = {
         name: ranked({m: e.mae_m if e.whole else math.nan for m, e in best.items()})
@@ -141,6 +141,11 @@ def standings(
             setting, share, count = axes.get(method, ("", math.nan, 0))
             found.append(_standing(method, mine, own, count, share, setting, places.get(method, 0)))
     return sorted(found, key=lambda one: (_last(one.mean_rank), one.stress_rank or math.inf))
+
+
+def _groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Rows by group, those of axes and those without truth left out."""
+    return groups(row for row in rows if "axis" not in row and row["against"] == "truth")
 
 
 def _standing(
@@ -190,7 +195,7 @@ def cheapest(rows: Sequence[Mapping[str, Any]]) -> list[Cheapest]:
     Parameters
     ----------
     rows : sequence of mapping
-        All rows; those of axes are left out.
+        All rows; those of axes and those without truth are left out.
 
     Returns
     -------
@@ -198,7 +203,7 @@ def cheapest(rows: Sequence[Mapping[str, Any]]) -> list[Cheapest]:
         One per group in which a timed setting answers every capture.
     """
     found = []
-    for name, mine in groups(row for row in rows if "axis" not in row).items():
+    for name, mine in _groups(rows).items():
         whole = [one for one in entries(mine) if one.timed and one.whole and one.ms]
         if whole:
             best = min(whole, key=lambda one: (one.mae_m, one.mean_ms))
