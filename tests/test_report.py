@@ -449,6 +449,8 @@ def test_names_and_errors_are_shown_and_never_run_and_never_a_path(folder, tmp_p
         ("{", "line 2 of .* is damaged: Expecting"),
         ('{"a": ' * 100_000, "line 2 of .* is damaged"),
         ({"metrics": {"mae_m": 1e308}}, "metrics mae_m is 1e\\+308, wanted a finite number"),
+        ({"metrics": {"mae_m": -0.1}}, "metrics mae_m is -0.1, wanted no negative number"),
+        ({"ms": -1}, "ms is -1, wanted no negative number"),
         ({"metrics": {"mae_m": "0.1"}}, "metrics mae_m is '0.1', wanted a finite number or null"),
         ({"metrics": {"mae_m": 10**400}}, "wanted a finite number or null"),
         ({"metrics": None}, "metrics is None, wanted an object of numbers"),

@@ -85,7 +85,7 @@ def _checked(row: object) -> dict[str, Any]:
     if row["against"] not in AGAINST:
         _wrong("against", row["against"], f"one of {', '.join(AGAINST)}")
     for name in FIGURES:
-        _number(name, row.get(name))
+        _number(name, row.get(name), positive=True)
     error = row.get("error")
     if error is not None and not isinstance(error, str):
         _wrong("error", error, "a text or null")
@@ -111,13 +111,14 @@ def _shown(text: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
-def _number(name: str, value: object) -> None:
+def _number(name: str, value: object, *, positive: bool = False) -> None:
     if value is None:
         return
     # 1e999 is JSON and infinite; whole numbers beyond all floats are JSON too.
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MOST:
-        return
-    _wrong(name, value, "a finite number or null")
+    if not isinstance(value, int | float) or isinstance(value, bool) or abs(value) >= MOST:
+        _wrong(name, value, "a finite number or null")
+    if positive and value < 0:
+        _wrong(name, value, "no negative number")
 
 
 def _numbers(name: str, row: Mapping[str, Any], *, needed: bool) -> None:
@@ -127,7 +128,7 @@ def _numbers(name: str, row: Mapping[str, Any], *, needed: bool) -> None:
     if not isinstance(table, dict):
         _wrong(name, table, "an object of numbers")
     for key, value in table.items():
-        _number(f"{name} {key[:60]}", value)
+        _number(f"{name} {key[:60]}", value, positive=key.endswith("mae_m"))
 
 
 def _params(params: object) -> dict[str, Any]:
