@@ -14,7 +14,6 @@ from toftools.bench.run import Settings, run_points
 from toftools.bench.score import score
 from toftools.bench.stability import Course, courses, stability
 from toftools.bench.stress import axis_sources
-from toftools.bench.stress_report import _slug
 from toftools.bench.suite import load_suite
 from toftools.correct.crt import crt
 from toftools.io.native import read_capture
@@ -248,11 +247,6 @@ def test_the_interval_of_a_place_covers_it_as_often_as_it_says():
     alone = Course("a", "m", *(part[:, :1] if np.ndim(part) > 1 else part for part in (
         values, error, 10 * ones, ones, error, none)))  # fmt: skip
     assert np.isnan(stability(alone).low), "one seed has no spread"
-
-
-def test_axes_whose_names_read_alike_have_files_of_their_own():
-    names = ["a b", "a-b", "c"]
-    assert [_slug(name, names) for name in names] == ["a-b-1", "a-b-2", "c"]
 
 
 def test_what_was_not_run_yet_breaks_nothing():

@@ -1,6 +1,7 @@
 """Last stage: ``DIR/results.jsonl`` to one self-contained ``DIR/report.html`` and its figures."""
 
 import base64
+import hashlib
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,19 +9,28 @@ from typing import Any
 
 import jinja2
 
+from toftools.bench.calibration import calibration
+from toftools.bench.choices import choices
+from toftools.bench.confidence import confidence
+from toftools.bench.figures import slug, write_chart, write_csv
+from toftools.bench.pareto import pareto
 from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.plan import read_plan
+from toftools.bench.platforms import platforms
 from toftools.bench.render import cells, headings, number
-from toftools.bench.score import read_rows
+from toftools.bench.rows import read_rows
 from toftools.bench.sensitivity_report import local
 from toftools.bench.stress_report import stress
+from toftools.bench.summary import cheapest, standings, write_summary
+from toftools.bench.summary_table import summary_table
 from toftools.bench.table import Line, groups, label_of, summarise, unsuited
 from toftools.io.atomic import atomic_path
 from toftools.registry import METRICS
-from toftools.viz.figures import Coverage, Curve, coverage_svg, pareto_svg
 
+AXIS_FIGURES = ("mae_m", "input_mae_m", "valid_share")
 REGIONS = ("all", "edges", "corners", "dark", "far")
 _TEMPLATE = Path(__file__).with_name("report.html.j2")
+_SCRIPT = Path(__file__).with_name("report.js")
 
 
 def report(out: Path) -> Path:
@@ -51,22 +61,52 @@ def report(out: Path) -> Path:
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         _TEMPLATE.read_text(encoding="utf-8")
     )
-    timed = [row for row in rows if row.get("machine")]
+    axes = [row for row in rows if "axis" in row]
+    strained = stress(out, axes, plan.get("axes", {}))
+    _axis_files(out, axes, strained)
+    script = _SCRIPT.read_text(encoding="utf-8")
     page = template.render(
         suite=rows[0]["suite"] if rows else "",
         sections=sections,
-        stress=stress(out, [row for row in rows if "axis" in row], plan.get("axes", {})),
+        stress=strained,
         local=local(out, rows),  # after stress, which writes where methods break
+        summary=_summary(out, rows, strained),
         counts=_counts(rows),
-        machine=timed[0]["machine"] if timed else {},
-        versions=timed[0]["versions"] if timed else {},
+        platforms=platforms(rows),
         problems=[row for row in rows if row["status"] not in ("ok", "unsuited")],
         label_of=label_of,
+        script=script,
+        # The page runs this script and no other, and loads nothing from anywhere.
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
     )
     target = out / "report.html"
     with atomic_path(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return target
+
+
+def _summary(
+    out: Path, rows: Sequence[Mapping[str, Any]], strained: Mapping[str, Any]
+) -> dict[str, Any]:
+    survived = {
+        method["label"]: [float(c["share"]) if c["share"] else None for c in method["cells"]]
+        for method in strained.get("methods", [])
+    }
+    found, cheap = standings(rows, survived), cheapest(rows)
+    write_summary(out, found, cheap)
+    return summary_table(found, cheap)
+
+
+def _axis_files(out: Path, rows: Sequence[Mapping[str, Any]], strained: Mapping[str, Any]) -> None:
+    """Chart and figures of every stress axis as files."""
+    for curve in strained.get("curves", []):
+        table = [
+            {"axis": row["axis"], "value": row["value"], "seed": row["seed"],
+             "setting": label_of(row), "status": row["status"],
+             **{name: row["metrics"].get(name) for name in AXIS_FIGURES}}
+            for row in rows if row["axis"] == curve["name"]
+        ]  # fmt: skip
+        write_chart(out, f"axis-{curve['id']}", curve["svg"], table)
 
 
 def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -86,14 +126,21 @@ def _group(
     for row in rows:
         captures.setdefault(str(row["capture_id"]), []).append(row)
     scored = any(line.per_capture for line in lines)
-    slug = "".join(c if c.isalnum() else "-" for c in name)
+    stem = slug(name)
+    chosen = choices(out, rows)
+    if chosen:
+        write_csv(out / "figures" / f"models-{stem}.csv", chosen["table"])
     return {
         "name": name,
+        "id": f"group-{stem}",
         "against": str(rows[0]["against"]),
         "table": _table(lines),
         "notes": [*_notes(lines), *unsuited(rows)],
-        "pareto": _pareto(lines, name, out / "figures" / f"pareto-{slug}.svg") if scored else "",
-        "coverage": _coverage(rows, out / "figures" / f"coverage-{slug}.svg") if scored else "",
+        "pareto": pareto(out, rows, lines, title=name, stem=f"pareto-{stem}") if scored else "",
+        "platforms": platforms(rows),
+        "coverage": confidence(out, rows, stem=f"coverage-{stem}") if scored else "",
+        "sigma": calibration(out, rows, title=name, stem=f"calibration-{stem}"),
+        "choices": chosen,
         "captures": [_capture(out, mine, max_range_m) for mine in captures.values()],
     }
 
@@ -126,51 +173,6 @@ def _table(lines: Sequence[Line]) -> dict[str, Any]:
             for line in lines
         ],
     }
-
-
-def _pareto(lines: Sequence[Line], title: str, path: Path) -> str:
-    curves: dict[str, list[Line]] = {}
-    for line in lines:
-        if line.complete:
-            curves.setdefault(line.method if line.timed else line.label, []).append(line)
-    drawn = [
-        Curve(
-            name="uncorrected input" if name.startswith("input") else name,
-            ms=[line.ms for line in mine],
-            mae_m=[line.metrics.get("mae_m", float("nan")) for line in mine],
-            labels=[_tooltip(line) for line in mine],
-            timed=mine[0].timed,
-        )
-        for name, mine in curves.items()
-    ]
-    svg = pareto_svg(drawn, title=f"Speed against accuracy: {title}")
-    path.write_text(svg, encoding="utf-8")
-    return svg
-
-
-def _tooltip(line: Line) -> str:
-    mae = number(line.metrics.get("mae_m"), 100)
-    valid = number(line.metrics.get("valid_share"), 100, ".1f")
-    return f"{line.label}: MAE {mae} cm, {number(line.ms)} ms, {valid} % valid"
-
-
-def _coverage(rows: Sequence[Mapping[str, Any]], path: Path) -> str:
-    """Error against coverage on the capture of the group with the largest input error."""
-    with_input = [row for row in rows if row["metrics"].get("input_mae_m") is not None]
-    if not with_input:
-        return ""
-    hardest = max(with_input, key=lambda row: float(row["metrics"]["input_mae_m"]))["capture_id"]
-    mine = [row for row in with_input if row["capture_id"] == hardest and row.get("coverage")]
-    curves = [
-        Coverage(label_of(row), row["coverage"]["coverage"], row["coverage"]["mae_m"])
-        for row in best_per_method(mine)
-        if len(row["coverage"]["coverage"]) > 1
-    ]
-    if not curves:
-        return ""
-    svg = coverage_svg(curves, title=f"Error against coverage: {mine[0]['capture']}")
-    path.write_text(svg, encoding="utf-8")
-    return svg
 
 
 def _capture(out: Path, rows: Sequence[Mapping[str, Any]], max_range_m: float) -> dict[str, Any]:

@@ -18,17 +18,19 @@ import numpy as np
 from toftools.bench.bound import median_bound_m
 from toftools.bench.plan import Point, read_plan
 from toftools.bench.results import read_result, result_path
+from toftools.bench.rows import read_rows as read_rows
 from toftools.io.atomic import atomic_path
 from toftools.io.native import read_capture
 from toftools.metrics.coverage import coverage_curve
 from toftools.metrics.interval import inside_interval
 from toftools.metrics.regions import regions
+from toftools.metrics.spread import z_spread
 from toftools.phasor import phasors_of
 from toftools.registry import CORRECTIONS, METRICS, parameters_of
 from toftools.types import Bool, Capture, DepthMap, Truth
 from toftools.units import ambiguity_m
 
-LEVELS = (0.68, 0.95)
+LEVELS = (0.1, 0.3, 0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 """Intervals of sigma whose promise is checked."""
 # Distributions compare whole images; a region of one has too few pixels to fill a histogram.
 WHOLE_IMAGE = ("range_", "gradient_", "cooccurrence_", "haar_")
@@ -209,6 +211,8 @@ def _row(
             )(depth)
             for level in LEVELS
         }
+        rms, robust = z_spread(scorer.truth, mask=scorer.masks["all"])(depth)
+        row["z"] = {"rms": rms, "robust": robust}
         curve = coverage_curve(depth=depth, truth=scorer.truth, mask=scorer.masks["all"],
                                max_points=40)  # fmt: skip
         row["coverage"] = {name: getattr(curve, name).tolist() for name in ("coverage", "mae_m")}
@@ -259,32 +263,3 @@ def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
-
-
-def read_rows(out: Path) -> list[dict[str, Any]]:
-    """Rows of ``results.jsonl``.
-
-    Parameters
-    ----------
-    out : Path
-        Benchmark folder.
-
-    Returns
-    -------
-    list of dict
-        Rows.
-
-    Raises
-    ------
-    ValueError
-        If the folder was not scored.
-    """
-    path = out / "results.jsonl"
-    try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except FileNotFoundError:
-        msg = f"no results in {out}; run: toftools bench score {out}"
-        raise ValueError(msg) from None
-    except ValueError as error:
-        msg = f"{path} is damaged ({error}); run: toftools bench score {out}"
-        raise ValueError(msg) from error

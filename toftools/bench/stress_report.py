@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.figures import slug
 from toftools.bench.render import number
 from toftools.bench.stability import Course, Stability, courses, stability
 from toftools.io.atomic import atomic_path
@@ -33,7 +34,7 @@ WHY = {
 
 
 def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]) -> dict[str, Any]:
-    """What the report shows of the stress axes; writes figures and tables beside it.
+    """What the report shows of the stress axes; writes tables beside it.
 
     Parameters
     ----------
@@ -57,21 +58,19 @@ def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]
     labels = list(dict.fromkeys(course.label for course, _ in found))
     cells = {(told.axis, told.label): told for _, told in found}
     return {
-        "axes": [{"name": name, "id": _slug(name, names)} for name in names],
+        "axes": [{"name": name, "id": slug(name)} for name in names],
         "methods": [
             {"label": label, "cells": [_cell(cells.get((name, label))) for name in names]}
             for label in labels
         ],
-        "curves": [
-            _curves(out, name, _slug(name, names), found, axes.get(name, "")) for name in names
-        ],
+        "curves": [_curves(name, found, axes.get(name, "")) for name in names],
     }
 
 
 def _cell(told: Stability | None) -> dict[str, str]:
     """One field of the matrix."""
     if told is None:
-        return {"text": "–", "style": "", "tip": "does not apply", "flags": ""}
+        return {"text": "–", "style": "", "tip": "does not apply", "flags": "", "share": ""}
     text = "holds" if told.breaks_at is None else written(told.breaks_at)
     ends = ["beyond" if e is None else written(e) for e in (told.low, told.high)]
     one = told.low is not None and math.isnan(told.low)
@@ -85,7 +84,8 @@ def _cell(told: Stability | None) -> dict[str, str]:
         tip += "; " + ", ".join(told.flags)
     marks = {"unstable": "u", "overconfident": "o", "fails": "f"}
     return {"text": text, "style": _colour(told.share), "tip": tip,
-            "flags": "".join(marks[flag] for flag in told.flags)}  # fmt: skip
+            "flags": "".join(marks[flag] for flag in told.flags),
+            "share": f"{told.share:.4f}"}  # fmt: skip
 
 
 def _colour(share: float) -> str:
@@ -96,9 +96,7 @@ def _colour(share: float) -> str:
     return f"background:rgb({mixed[0]},{mixed[1]},{mixed[2]});color:{ink}"
 
 
-def _curves(
-    out: Path, name: str, slug: str, found: Sequence[tuple[Course, Stability]], about: str
-) -> dict[str, Any]:
+def _curves(name: str, found: Sequence[tuple[Course, Stability]], about: str) -> dict[str, Any]:
     """Chart and table of one axis."""
     mine = [(course, told) for course, told in found if course.axis == name]
     values = sorted({v for c, _ in mine for v in c.values}, key=_order(mine))
@@ -106,7 +104,6 @@ def _curves(
     strains = [Strain(INPUT, _placed(raw.input_m, raw, values))]
     strains += [Strain(c.label, _placed(c.error_m, c, values)) for c, _ in mine]
     svg = stress_svg(values, strains, title=name, name=about or name)
-    (out / "figures" / f"axis-{slug}.svg").write_text(svg, encoding="utf-8")
     head = ["method", "benign cm", "breaks at", "95 % from", "to", "cm per unit", "in 68 %",
             "in 95 %", "worst 1 % benign, cm", "warnings"]  # fmt: skip
     body = [
@@ -116,7 +113,7 @@ def _curves(
          number(_benign(c.worst_m), 100), ", ".join((*t.flags, *c.failures))]
         for c, t in mine
     ]  # fmt: skip
-    return {"name": name, "id": slug, "about": about, "svg": svg,
+    return {"name": name, "id": slug(name), "about": about, "svg": svg,
             "table": {"head": head, "rows": body}}  # fmt: skip
 
 
@@ -141,13 +138,6 @@ def _placed(table: F64, course: Course, values: Sequence[float]) -> F64:
     whole = np.full((len(values), table.shape[1]), np.nan)
     whole[[values.index(value) for value in course.values]] = table
     return whole
-
-
-def _slug(name: str, names: Sequence[str]) -> str:
-    """Name of a file for an axis; numbered where another axis would have the same."""
-    plain = ["".join(c if c.isalnum() else "-" for c in each).lower() for each in names]
-    at = list(names).index(name)
-    return plain[at] if plain.count(plain[at]) == 1 else f"{plain[at]}-{at + 1}"
 
 
 def _write_tables(out: Path, told: Sequence[Stability]) -> None:

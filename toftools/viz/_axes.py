@@ -1,6 +1,7 @@
 """Axes of the SVG charts: data to pixels, ticks that read well, the frame around the plot."""
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,19 +69,23 @@ def log_axis(values: NDArray[np.float64], *, name: str, horizontal: bool = False
     return Axis(low / room, high * room, BOTTOM, TOP, name, log=True)
 
 
-def share_axis(name: str) -> Axis:
-    """Linear horizontal axis from 0 to 100 %, with room for labels beyond.
+def share_axis(name: str, *, vertical: bool = False) -> Axis:
+    """Linear axis from 0 to 100 %, with room for labels beyond where it is horizontal.
 
     Parameters
     ----------
     name : str
         Axis title with its unit.
+    vertical : bool
+        True for the y axis.
 
     Returns
     -------
     Axis
         The axis.
     """
+    if vertical:
+        return Axis(0.0, 103.0, BOTTOM, TOP, name, log=False)
     return Axis(0.0, 116.0, LEFT, RIGHT, name, log=False)
 
 
@@ -140,8 +145,8 @@ def frame(x: Axis, y: Axis) -> list[str]:
     parts += [
         f'<path d="M{LEFT},{TOP}V{BOTTOM}H{RIGHT}" fill="none" stroke="#888"/>',
         f'<text x="{middle_x}" y="{BOTTOM + 46}" font-size="14" fill="#222" '
-        f'text-anchor="middle">{x.name}</text>',
+        f'text-anchor="middle">{escape(x.name)}</text>',
         f'<text transform="translate(22,{middle_y}) rotate(-90)" font-size="14" fill="#222" '
-        f'text-anchor="middle">{y.name}</text>',
+        f'text-anchor="middle">{escape(y.name)}</text>',
     ]
     return parts

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 CHAR_EM = 0.6  # average advance of a sans-serif letter; on the wide side, so boxes are never short
 LEADER_PX = 16.0  # a label farther from its anchor than this gets a line to it
+MOST_LETTERS = 72  # of a label: the width of a chart holds about a hundred
 _RINGS_PX = (8.0, 20.0, 36.0, 56.0, 80.0, 110.0)
 _BEARINGS = ((1, 0), (0, -1), (0, 1), (-1, 0), (1, -1), (1, 1), (-1, -1), (-1, 1))
 
@@ -26,9 +27,15 @@ class Label:
     size: float = 13.0
 
     @property
+    def shown(self) -> str:
+        """The text, cut where it would leave the chart."""
+        most = MOST_LETTERS
+        return self.text if len(self.text) <= most else f"{self.text[: most - 1]}…"
+
+    @property
     def width(self) -> float:
         """Estimated width, px."""
-        return CHAR_EM * self.size * len(self.text)
+        return CHAR_EM * self.size * len(self.shown)
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,16 @@ _SHAPES = (
 
 @dataclass(frozen=True)
 class Series:
-    """One curve in pixels (N, 2), a hover text per point, and the number that picks its look."""
+    """One curve in pixels (N, 2), a hover text per point, and the number that picks its look.
+
+    `bars` are thin error bars: both ends of each, as x, y, x, y in pixels.
+    """
 
     name: str
     xy: NDArray[np.float64]
     tips: Sequence[str]
     look: int
+    bars: Sequence[tuple[float, float, float, float]] = ()
 
     @property
     def colour(self) -> str:
@@ -89,8 +93,9 @@ def draw(chart: Chart) -> str:
             'stroke-width="5" stroke-linejoin="round"/>'
         )
     parts += [
-        f'<path d="M{x.start:.1f},{flat.at:.1f}H{x.end:.1f}" stroke="#777" stroke-width="1.3" '
-        f'stroke-dasharray="6 4"><title>{escape(flat.tip)}</title></path>'
+        f'<path data-series="{escape(flat.name)}" d="M{x.start:.1f},{flat.at:.1f}H{x.end:.1f}" '
+        f'stroke="#777" stroke-width="1.3" stroke-dasharray="6 4">'
+        f"<title>{escape(flat.tip)}</title></path>"
         for flat in chart.flats
     ]
     for one in chart.series:
@@ -155,13 +160,21 @@ def _path(xy: NDArray[np.float64]) -> str:
 
 def _draw_series(one: Series) -> list[str]:
     """Line and markers of one series; an unseen wider disc makes a marker easy to hover."""
-    parts = [
-        f'<path class="curve" d="{_path(one.xy)}" fill="none" stroke="{one.colour}" '
+    mine = f'data-series="{escape(one.name)}"'  # by which a page finds all that belongs together
+    parts = []
+    if one.bars:
+        ends = "".join(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}" for a, b, c, d in one.bars)
+        parts.append(
+            f'<path class="bars" {mine} d="{ends}" fill="none" stroke="{one.colour}" '
+            'stroke-opacity="0.45"/>'
+        )
+    parts.append(
+        f'<path class="curve" {mine} d="{_path(one.xy)}" fill="none" stroke="{one.colour}" '
         'stroke-width="1.8" stroke-linejoin="round"/>'
-    ]
+    )
     for (px, py), tip in zip(one.xy, one.tips, strict=True):
         parts.append(
-            f'<g transform="translate({px:.1f},{py:.1f})"><title>{escape(tip)}</title>'
+            f'<g {mine} transform="translate({px:.1f},{py:.1f})"><title>{escape(tip)}</title>'
             f'<circle r="10" fill="#fff" fill-opacity="0"/><path d="{one.shape}" '
             f'fill="{one.colour}" stroke="#fff" stroke-width="1"/></g>'
         )
@@ -206,15 +219,17 @@ def _darker(colour: str) -> str:
 def _draw_label(placed: Placed) -> list[str]:
     """The text, with a thin line to what it names where it stands apart."""
     label, (left, top, _, _) = placed.label, placed.box
+    mine = f'data-series="{escape(label.text)}"'
+    shown = label.shown
     parts = []
     if placed.far:
         leader = _path(np.array([placed.anchor, placed.nearest]))
         parts.append(
-            f'<path d="{leader}" stroke="{label.colour}" stroke-width="0.8" opacity="0.7"/>'
+            f'<path {mine} d="{leader}" stroke="{label.colour}" stroke-width="0.8" opacity="0.7"/>'
         )
     parts.append(
-        f'<text class="label" x="{left:.1f}" y="{top + label.size:.1f}" '
+        f'<text class="label" {mine} x="{left:.1f}" y="{top + label.size:.1f}" '
         f'font-size="{label.size:g}" fill="{label.colour}" paint-order="stroke" stroke="#fff" '
-        f'stroke-width="3" stroke-linejoin="round">{escape(label.text)}</text>'
+        f'stroke-width="3" stroke-linejoin="round">{escape(shown)}</text>'
     )
     return parts

@@ -32,6 +32,12 @@ class Curve:
         Hover text of each setting, such as ``tol_mm=1``; may be empty.
     timed : bool
         False for an answer that nobody timed: it becomes a dashed horizontal line.
+    spread_m : sequence of (float, float)
+        Quartiles of the error over captures, m, for a vertical bar at each point; NaN or empty for
+        none.
+    iqr_ms : sequence of float
+        Interquartile range of repeated calls, ms, for a horizontal bar around each point; NaN or
+        empty for none.
     """
 
     name: str
@@ -39,6 +45,8 @@ class Curve:
     mae_m: Sequence[float]
     labels: Sequence[str] = field(default_factory=tuple)
     timed: bool = True
+    spread_m: Sequence[tuple[float, float]] = ()
+    iqr_ms: Sequence[float] = ()
 
 
 @dataclass(frozen=True)
@@ -102,23 +110,27 @@ def pareto_svg(curves: Sequence[Curve], *, title: str) -> str:
     shown = [points[:, 1] for _, points, _ in timed] + [np.array([e]) for _, e in flat]
     if not shown:
         return empty(title)
-    errors = _errors(np.concatenate(shown))
-    times = [points[:, 0] for _, points, _ in timed] or [np.array([1.0, 100.0])]
-    x = log_axis(np.concatenate(times), name="time per frame, ms", horizontal=True)
+    errors = _errors(np.concatenate(shown), [points[:, 2:4].ravel() for _, points, _ in timed])
+    times = [points[:, [0, 4, 5]].ravel() for _, points, _ in timed] or [np.array([1.0, 100.0])]
+    at_ms = np.concatenate(times)
+    x = log_axis(at_ms[np.isfinite(at_ms)], name="time per frame, ms", horizontal=True)
 
     series = []
     for look, (curve, points, settings) in enumerate(timed):
         tips = [
-            f"{curve.name} {setting}".strip() + f": {number(ms)} ms, {errors.text(error)}"
-            for (ms, error), setting in zip(points, settings, strict=True)
+            f"{curve.name} {setting}".strip()
+            + f": {number(point[0])} ms, {errors.text(point[1])}{_spread_text(point, errors)}"
+            for point, setting in zip(points, settings, strict=True)
         ]
         xy = np.stack([x(points[:, 0]), errors.pixels(points[:, 1])], axis=1)
-        series.append(Series(curve.name, xy, tips, look))
+        series.append(Series(curve.name, xy, tips, look, _bars(points, x, errors)))
     flats = [
         Flat(name, float(errors.pixels(np.array(e))), f"{name}: {errors.text(e)}, not timed")
         for name, e in flat
     ]
     note = "Grey staircase: nothing is both faster and more accurate." if series else ""
+    if any(one.bars for one in series):
+        note += " Thin bars: middle half of the captures, and of repeated calls."
     under, corners = _real_time(x, errors.axis), _frontier(series, x, errors.axis)
     return draw(Chart(title, note, x, errors.axis, series, flats, under, corners))
 
@@ -169,19 +181,55 @@ def _pairs(name: str, x: Sequence[float], mae_m: Sequence[float]) -> NDArray[np.
 
 
 def _timed_points(curve: Curve) -> tuple[NDArray[np.float64], list[str]]:
-    """The (ms, error) pairs of a curve that can be drawn, with their hover texts."""
+    """Points of a curve that can be drawn, with their hover texts.
+
+    Columns: ms, error, quartiles of the error, ends of the bar in ms; NaN for no bar.
+    """
     points = _pairs(curve.name, curve.ms, curve.mae_m)
     settings = list(curve.labels) or [""] * len(points)
-    if len(settings) != len(points):
-        msg = f"curve {curve.name!r} has {len(settings)} labels for {len(points)} points"
-        raise ValueError(msg)
+    spread = np.array(list(curve.spread_m) or [(np.nan, np.nan)] * len(points)).reshape(-1, 2)
+    iqr = np.array(list(curve.iqr_ms) or [np.nan] * len(points))
+    for what, count in (("labels", len(settings)), ("bars", len(spread)), ("bars", len(iqr))):
+        if count != len(points):
+            msg = f"curve {curve.name!r} has {count} {what} for {len(points)} points"
+            raise ValueError(msg)
+    # A logarithmic axis has no zero: a bar that would reach it ends at a tenth of its point.
+    left = np.maximum(points[:, 0] - iqr / 2, points[:, 0] / 10)
+    every = np.column_stack([points, spread, left, points[:, 0] + iqr / 2])
     good = np.isfinite(points).all(axis=1) & (points[:, 0] > 0)
-    return points[good], [text for text, ok in zip(settings, good, strict=True) if ok]
+    return every[good], [text for text, ok in zip(settings, good, strict=True) if ok]
 
 
-def _errors(errors_m: NDArray[np.float64]) -> _Errors:
-    """Axis for these errors; an exact zero stands half below the smallest positive one."""
+def _bars(
+    points: NDArray[np.float64], x: Axis, errors: _Errors
+) -> list[tuple[float, float, float, float]]:
+    """Error bars of the points, ends in pixels."""
+    bars = []
+    for ms, error, low, high, left, right in points:
+        if np.isfinite([low, high]).all():
+            ends = errors.pixels(np.array([low, high]))
+            bars.append((float(x(ms)), float(ends[0]), float(x(ms)), float(ends[1])))
+        if np.isfinite([left, right]).all():
+            height = float(errors.pixels(np.array(error)))
+            bars.append((float(x(left)), height, float(x(right)), height))
+    return bars
+
+
+def _spread_text(point: NDArray[np.float64], errors: _Errors) -> str:
+    """What the bars of a point say, for its hover text."""
+    ms, _, low, high, _, right = point
+    told = ""
+    if np.isfinite([low, high]).all():
+        told += f"; middle half of the captures {errors.text(low)} to {errors.text(high)}"
+    if np.isfinite(right):
+        told += f"; middle half of the calls within {number(2 * (right - ms))} ms"
+    return told
+
+
+def _errors(errors_m: NDArray[np.float64], bars_m: Sequence[NDArray[np.float64]] = ()) -> _Errors:
+    """Axis for these errors and bars; an exact zero stands half below the smallest positive one."""
     unit, factor = ("mm", 1e3) if np.median(errors_m) < 0.01 else ("cm", 1e2)
+    errors_m = np.concatenate([errors_m, *(bar[np.isfinite(bar)] for bar in bars_m)])
     positive = errors_m[errors_m > 0]
     floor_m = float(positive.min()) / 2 if positive.size else 1e-6
     axis = log_axis(np.maximum(errors_m, floor_m) * factor, name=f"mean absolute error, {unit}")

@@ -60,7 +60,7 @@ def stress_svg(values: Sequence[float], strains: Sequence[Strain], *, title: str
     floor = every[every > 0].min() / 2 if (every > 0).any() else 1e-6
     y = log_axis(np.maximum(every, floor) * factor, name=f"mean absolute error, {unit}")
     x = _across(at, name)
-    series, under = [], []
+    series = []
     for look, (strain, errors) in enumerate(kept):
         known = np.asarray(np.isfinite(errors).any(axis=1))
         mean = np.nanmean(np.where(known[:, None], errors, 0), axis=1)[known]
@@ -69,14 +69,14 @@ def stress_svg(values: Sequence[float], strains: Sequence[Strain], *, title: str
             f"{strain.name} at {number(value)}: {number(factor * error)} {unit}"
             for value, error in zip(at[known], mean, strict=True)
         ]
-        one = Series(strain.name, np.stack([x(at[known]), heights], axis=1), tips, look)
-        series.append(one)
+        bars = []
         for value, row in zip(at[known], errors[known], strict=True):
             low, high = (y(max(f, floor) * factor) for f in (np.nanmin(row), np.nanmax(row)))
-            under.append(f'<path d="M{float(x(value)):.1f},{float(low):.1f}V{float(high):.1f}" '
-                         f'stroke="{one.colour}" stroke-opacity="0.5"/>')  # fmt: skip
+            bars.append((float(x(value)), float(low), float(x(value)), float(high)))
+        across = np.stack([x(at[known]), heights], axis=1)
+        series.append(Series(strain.name, across, tips, look, bars))
     note = "Easiest on the left. Thin bars: smallest and largest of the seeds."
-    return draw(Chart(title, note, x, y, series, under=under))
+    return draw(Chart(title, note, x, y, series))
 
 
 def _across(values: NDArray[np.float64], name: str) -> Axis:
