@@ -97,6 +97,28 @@ def points(text: str, grids: Grids) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
+def setting(text: str) -> tuple[str, dict[str, Any]]:
+    """Method name and parameters of a method at one setting: as typed, else at its defaults.
+
+    Parameters
+    ----------
+    text : str
+        Method as typed.
+
+    Returns
+    -------
+    str, dict
+        As `points` gives them, without the grid.
+
+    Examples
+    --------
+    >>> setting("crt"), setting("kde:window_px=5")
+    (('crt', {}), ('kde', {'window_px': 5}))
+    """
+    method = method_of(text)
+    return (method.name, {}) if isinstance(method, Chain) else parse_name(text)
+
+
 def _chain_grid(chain: Chain, grids: Grids) -> dict[str, tuple[Any, ...]]:
     return {
         f"{spec.name}.{key}": values

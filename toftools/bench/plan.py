@@ -9,14 +9,14 @@ import logging
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from toftools.bench.fingerprint import capture_digest, digest, package_digest
-from toftools.bench.methods import check_method, points
+from toftools.bench.methods import check_method, points, setting
 from toftools.bench.references import REFERENCES
 from toftools.bench.source import Source
 from toftools.bench.suite import Suite, expand
@@ -121,8 +121,17 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     for text in methods:
         check_method(text, suite.grid)
     make_folders(out)
-    captures = [item for source in suite.sources for item in _ingest(source, suite, out)]
-    if not captures:
+    listed = [(source, item) for source in suite.sources for item in _ingest(source, suite, out)]
+    captures = [item for source, item in listed if not source.ladder]
+    # The climbs of ladders: captures that several rungs or ladders share are listed once.
+    climbs = [
+        (source, Point(str(item["id"]), *setting(source.method)))
+        for source, item in listed
+        if source.ladder
+    ]
+    known = {item["id"] for item in captures}
+    shared = {item["id"]: item for source, item in listed if item["id"] not in known}
+    if not listed:
         msg = f"suite {suite.name} found no capture; set TOFTOOLS_DATA or give scenes"
         raise ValueError(msg)
     found = [
@@ -132,7 +141,8 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
         for method, params in points(text, suite.grid)
         if method not in REFERENCES or _applies(method, params, item)
     ]
-    plan = list({point.key: point for point in found}.values())  # a setting named twice runs once
+    every = [*found, *(point for _, point in climbs)]
+    plan = list({point.key: point for point in every}.values())  # a setting named twice runs once
     write_json(
         out / "plan.json",
         {
@@ -144,11 +154,37 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
                 "max_range_m": suite.max_range_m if math.isfinite(suite.max_range_m) else None,
             },
             "axes": {s.axis: s.about for s in suite.sources if s.axis},
-            "captures": captures,
+            "ladders": _ladders(climbs, {point.key for point in found}),
+            "captures": [*captures, *shared.values()],
             "points": [asdict(point) for point in plan],
         },
     )
     return plan
+
+
+def _ladders(
+    climbs: Iterable[tuple[Source, Point]], others: Collection[str]
+) -> dict[str, dict[str, Any]]:
+    """Every ladder with its rungs, and the points of every rung by scene.
+
+    ``own`` are the points that nothing else of the suite asks for.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for source, point in climbs:
+        ladder = found.setdefault(
+            source.ladder, {"about": source.about, "within_m": source.within_m, "rungs": {},
+                            "own": []},
+        )  # fmt: skip
+        rung = ladder["rungs"].setdefault(
+            f"{source.rung:.12g}",
+            {"rung": source.rung, "label": source.label, "method": source.method, "scenes": {}},
+        )
+        rung["scenes"].setdefault(source.text, []).append(point.key)
+        if point.key not in others and point.key not in ladder["own"]:
+            ladder["own"].append(point.key)
+    return {
+        name: {**ladder, "rungs": list(ladder["rungs"].values())} for name, ladder in found.items()
+    }
 
 
 def read_plan(out: Path) -> tuple[dict[str, Any], list[Point]]:
@@ -220,7 +256,7 @@ def _same(capture: Capture) -> Capture:
 
 def _shot(source: Source) -> Capture:
     device = sensor(str(source.sensor))
-    light_seed = 0 if source.axis else None  # captures of an axis share what light they can
+    light_seed = 0 if source.axis or source.ladder else None  # they share what light they can
     shot = Shot(device, source.seed, tol_m=1e-3 * source.tol_mm, light_seed=light_seed)
     scene = Scene(*parse_entry(source.text))
     engine = choose(scene, device)[0] if source.engine == "auto" else source.engine

@@ -14,6 +14,7 @@ from toftools.bench.choices import choices
 from toftools.bench.confidence import confidence
 from toftools.bench.figures import slug, write_chart, write_csv
 from toftools.bench.pareto import pareto
+from toftools.bench.parsimony_report import parsimony
 from toftools.bench.pictures import best_per_method, capture_pictures
 from toftools.bench.plan import read_plan
 from toftools.bench.platforms import platforms
@@ -56,7 +57,7 @@ def report(out: Path) -> Path:
     figures = out / "figures"
     figures.mkdir(exist_ok=True)
     # Captures of an axis are too many for a section each: a matrix and a curve per axis instead.
-    plain = [row for row in rows if "axis" not in row]
+    plain = [row for row in rows if "axis" not in row and "ladders" not in row]
     sections = [_group(out, name, mine, max_range_m) for name, mine in groups(plain).items()]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         _TEMPLATE.read_text(encoding="utf-8")
@@ -71,6 +72,7 @@ def report(out: Path) -> Path:
         stress=strained,
         local=local(out, rows),  # after stress, which writes where methods break
         summary=_summary(out, rows, strained),
+        parsimony=parsimony(out, rows, plan),
         counts=_counts(rows),
         platforms=platforms(rows),
         problems=[row for row in rows if row["status"] not in ("ok", "unsuited")],

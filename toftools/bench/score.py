@@ -32,6 +32,7 @@ from toftools.units import ambiguity_m
 
 LEVELS = (0.1, 0.3, 0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 """Intervals of sigma whose promise is checked."""
+AXIS = ("axis", "value", "seed")
 # Distributions compare whole images; a region of one has too few pixels to fill a histogram.
 WHOLE_IMAGE = ("range_", "gradient_", "cooccurrence_", "haar_")
 
@@ -134,16 +135,29 @@ def score(out: Path) -> list[dict[str, Any]]:
         If the folder holds no benchmark.
     """
     plan, points = read_plan(out)
-    limits = plan["mask"]
+    limits, own = plan["mask"], _owned(plan)
     rows = []
     for item in plan["captures"]:
         mine = [point for point in points if point.capture == item["id"]]
         scorer = _Scorer.of(out, item, limits)
-        rows += [_row(plan["suite"], item, point, out, scorer) for point in mine]
+        for point in mine:
+            row = _row(plan["suite"], item, point, out, scorer)
+            if point.key in own:  # no point of an axis, even if its capture is
+                row = {k: v for k, v in row.items() if k not in AXIS} | {"ladders": own[point.key]}
+            rows.append(row)
     with atomic_path(out / "results.jsonl") as temporary:
         text = "".join(json.dumps(_finite(row)) + "\n" for row in rows)
         temporary.write_text(text, encoding="utf-8")
     return rows
+
+
+def _owned(plan: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Points that only ladders ask for, with the names of those."""
+    found: dict[str, list[str]] = {}
+    for name, ladder in plan.get("ladders", {}).items():
+        for key in ladder["own"]:
+            found.setdefault(key, []).append(name)
+    return found
 
 
 class _Scorer:
@@ -186,7 +200,7 @@ def _row(
         "capture": item["name"],
         "capture_id": item["id"],
         "group": item["group"],
-        **{key: item[key] for key in ("axis", "value", "seed") if key in item},
+        **{key: item[key] for key in AXIS if key in item},
         "method": point.method,
         "params": dict(point.params),
         "against": scorer.against,

@@ -1,8 +1,11 @@
-"""One entry of a suite, and how its TOML is read: what a suite and its stress axes share."""
+"""One entry of a suite, and how its TOML is read: what a suite, its axes and ladders share."""
 
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+MOST_SEEDS = 1000
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,17 @@ class Source:
     value : float
         Where on it.
     about : str
-        What the axis is, with its unit.
+        What the axis or the ladder is, with its unit.
+    ladder : str
+        Ladder of models that the scene is climbed by; empty for none.
+    rung : float
+        Complexity of the model of this source.
+    label : str
+        The rung in words.
+    method : str
+        The model of the rung: the only method that runs here.
+    within_m : float
+        Error up to which the model suffices for a pixel, m.
     """
 
     text: str
@@ -49,6 +62,11 @@ class Source:
     axis: str = ""
     value: float = 0.0
     about: str = ""
+    ladder: str = ""
+    rung: float = 0.0
+    label: str = ""
+    method: str = ""
+    within_m: float = 0.0
 
 
 def check_keys(table: Mapping[str, Any], known: Collection[str], where: str) -> None:
@@ -84,6 +102,29 @@ def number_of(table: Mapping[str, Any], key: str, default: float, where: str) ->
         msg = f"{key} in {where} must be a number, got {value!r}"
         raise ValueError(msg)
     return float(value)
+
+
+def seeds_of(table: Mapping[str, Any], default: int, where: str) -> int:
+    """How many seeds a table asks for, or the default; ValueError for anything else."""
+    seeds = table.get("seeds", default)
+    if isinstance(seeds, bool) or not isinstance(seeds, int) or not 1 <= seeds <= MOST_SEEDS:
+        msg = f"{where} wants seeds from 1 to {MOST_SEEDS}, got {seeds!r}"
+        raise ValueError(msg)
+    return seeds
+
+
+def filled(text: str, row: Mapping[str, Any], where: str) -> str:
+    """A text with its braces replaced by the entries of a row; ValueError for an unknown one."""
+
+    def found(match: re.Match[str]) -> str:
+        key = match.group(1)
+        if key not in row:
+            msg = f"{where} asks for {{{key}}}, known: " + ", ".join(f"{{{k}}}" for k in row)
+            raise ValueError(msg)
+        value = row[key]
+        return f"{value:.12g}" if isinstance(value, int | float) else str(value)
+
+    return re.sub(r"\{([^{}]*)\}", found, text)
 
 
 def flag_of(table: Mapping[str, Any], key: str, where: str) -> bool:

@@ -8,11 +8,17 @@ differ in electronics alone share their light.
 """
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from toftools.bench.source import Source, check_keys, list_of, number_of
+from toftools.bench.source import (
+    Source,
+    check_keys,
+    filled,
+    list_of,
+    number_of,
+    seeds_of,
+)
 from toftools.registry import SIMULATORS, find, parse_entry
 from toftools.sensors import sensor
 from toftools.sim.analytic import analytic
@@ -34,7 +40,6 @@ _KEYS = (
 )
 LEAST_VALUES = 3
 """Fewer points make no curve."""
-MOST_SEEDS = 1000
 GROUP = "axis: "
 """What the groups of axes start with."""
 
@@ -105,15 +110,8 @@ def _checked(entry: object, where: str) -> str:
         if len(entry[key]) != len(values):
             msg = f"axis {name} of {where} has {len(entry[key])} {key} for {len(values)} values"
             raise ValueError(msg)
-    _check_seeds(entry, name, where)
+    seeds_of(entry, 3, f"axis {name} of {where}")
     return name
-
-
-def _check_seeds(entry: Mapping[str, Any], name: str, where: str) -> None:
-    seeds = entry.get("seeds", 3)
-    if isinstance(seeds, bool) or not isinstance(seeds, int) or not 1 <= seeds <= MOST_SEEDS:
-        msg = f"axis {name} of {where} wants seeds from 1 to {MOST_SEEDS}, got {seeds!r}"
-        raise ValueError(msg)
 
 
 def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source]:
@@ -132,15 +130,15 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
     about = str(entry.get("about", name)) + (f", {unit}" if unit else "")
     for number, value in enumerate(entry["values"]):
         row = {"value": value, **{key: column[number] for key, column in columns.items()}}
-        filled = {key: _filled(text, row, name, where) for key, text in texts.items()}
+        told = {k: filled(text, row, f"axis {name} of {where}") for k, text in texts.items()}
         for key in ("sensor", "claimed"):
-            if filled[key]:
-                sensor(filled[key])  # a wrong figure is told before anything is simulated
-        _check_scene(filled["scene"], sensor(filled["sensor"]), engine)
-        for seed in range(entry.get("seeds", 3)):
+            if told[key]:
+                sensor(told[key])  # a wrong figure is told before anything is simulated
+        _check_scene(told["scene"], sensor(told["sensor"]), engine)
+        for seed in range(seeds_of(entry, 3, where)):
             yield Source(
-                filled["scene"], f"{GROUP}{name}", None, filled["sensor"], engine, tol_mm,
-                claimed=filled["claimed"], seed=seed, axis=name, value=float(value), about=about,
+                told["scene"], f"{GROUP}{name}", None, told["sensor"], engine, tol_mm,
+                claimed=told["claimed"], seed=seed, axis=name, value=float(value), about=about,
             )  # fmt: skip
 
 
@@ -152,19 +150,3 @@ def _check_scene(text: str, device: Sensor, engine: str) -> None:
         analytic(scene)
     elif parse_entry(name)[0] in SIMULATORS:  # an engine of the user's knows scenes of its own
         world_of(scene)
-
-
-def _filled(text: str, row: Mapping[str, Any], name: str, where: str) -> str:
-    """The text with its braces replaced."""
-
-    def found(match: re.Match[str]) -> str:
-        key = match.group(1)
-        if key not in row:
-            msg = f"axis {name} of {where} asks for {{{key}}}, known: " + ", ".join(
-                f"{{{known}}}" for known in row
-            )
-            raise ValueError(msg)
-        value = row[key]
-        return f"{value:.12g}" if isinstance(value, int | float) else str(value)
-
-    return re.sub(r"\{([^{}]*)\}", found, text)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from toftools.bench.ladder import ladder_sources
 from toftools.bench.methods import method_of, specs_of
 from toftools.bench.source import (
     Source,
@@ -20,8 +21,8 @@ from toftools.bench.stress import axis_sources
 from toftools.registry import SIMULATORS, find, parse_name
 
 BUILT_IN = Path(__file__).parent / "suites"
-_KEYS = ("name", "captures", "scenes", "axis", "sensor", "engine", "tol_mm", "methods", "grid",
-         "repeats", "batch", "sensitivity", "mask")  # fmt: skip
+_KEYS = ("name", "captures", "scenes", "axis", "ladder", "sensor", "engine", "tol_mm", "methods",
+         "grid", "repeats", "batch", "sensitivity", "mask")  # fmt: skip
 _SCENE_KEYS = ("scene", "sensor", "engine", "tol_mm", "group")
 
 
@@ -36,7 +37,7 @@ class Suite:
     folder : Path
         Folder that relative patterns start from.
     sources : tuple of Source
-        Captures and scenes.
+        Captures, scenes, and scenes of axes and ladders.
     methods : tuple of str
         ``name``, ``name:key=val,...``, ``mypkg.mine:make``, or a chain of such joined by ``>``.
     grid : mapping
@@ -115,8 +116,12 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
         *axis_sources(list_of(table, "axis", where), where),
     ]
     methods = tuple(str(m) for m in list_of(table, "methods", where))
-    if not sources or not methods:
-        msg = f"{where} needs methods, and captures or scenes or axes; got {sorted(table)}"
+    ladders = tuple(ladder_sources(list_of(table, "ladder", where), where))
+    if bool(sources) != bool(methods) or not (sources or ladders):
+        msg = (
+            f"{where} needs methods, and captures or scenes or axes, or else ladders; "
+            f"got {sorted(table)}"
+        )
         raise ValueError(msg)
     names = {spec.name for method in methods for spec in specs_of(method_of(method))}
     grid = table_of(table, "grid", where)
@@ -135,7 +140,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
     return Suite(
         name=str(table.get("name", path.stem)),
         folder=path.parent,
-        sources=tuple(sources),
+        sources=(*sources, *ladders),
         methods=methods,
         grid={
             name: {key: tuple(list_of(dials, key, where)) for key in dials}

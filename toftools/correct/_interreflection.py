@@ -17,17 +17,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
 
-from toftools._transfer import sincos
-from toftools._turns import FAST
 from toftools.correct import INVALID, OK, kernel_input
 from toftools.correct._albedo_gain import fitted_gain
+from toftools.correct._bounced import bounced, ratio_of
 from toftools.correct._evidence import explained
 from toftools.correct._scene import Optics, Surface, lit, surface
 from toftools.correct._wraps import Candidates, Plan, search
 from toftools.types import C64, F32, Bool, DepthMap, Phasors
-from toftools.units import TWO_PI, path_to_phase
 
 Irradiance = Callable[[Optics, Surface, C64], C64]
 """Phasors (F, H, W) to the irradiance phasors (F, H, W) on what every pixel sees."""
@@ -69,6 +66,8 @@ class Recipe:
     start : callable or None
         Correction whose range starts the iteration and fixes the count of turns; None searches
         the most likely range at every step.
+    bounces : int
+        Bounces that are modelled; 0 for all. Needs a stride of 1.
     """
 
     walk: Plan
@@ -77,6 +76,7 @@ class Recipe:
     albedo_gain: float
     stride_px: int
     start: Callable[[Phasors], DepthMap] | None = None
+    bounces: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +190,11 @@ def _iterate(state: _State, phasors: Phasors, view: Optics, recipe: Recipe, reac
     range_m = np.where(phasors.valid, before, np.float32(np.nan))
     seen = surface(view, range_m, noise_m=noise_m, reach_px=reach)
     flash = lit(view, seen)
-    ratio = np.empty_like(values)
-    turns = np.asarray(path_to_phase(1.0, view.freqs_hz) / TWO_PI, np.float32)
-    arrived = _parts(recipe.irradiance(view, seen, values))
-    _to_ratio(arrived, seen.position, flash, turns, _writable_parts(ratio))
+
+    def transport(light: C64) -> C64:
+        return ratio_of(recipe.irradiance(view, seen, light), view, seen, flash)
+
+    ratio = bounced(transport, values, state.ratio, state.gain, recipe.bounces)
     gain = recipe.albedo_gain or fitted_gain(values, ratio, flash, range_m, view.freqs_hz)
     direct, sigma = _direct(values, phasors.sigma, ratio, gain)
     freed_phasors = Phasors(direct, sigma, phasors.valid)
@@ -223,28 +224,6 @@ def _direct(values: C64, sigma: F32 | None, ratio: C64, gain: float) -> tuple[C6
     with np.errstate(divide="ignore", invalid="ignore"):
         direct = values / divisor
     return direct, None if sigma is None else sigma / np.abs(divisor)
-
-
-def _parts(values: C64) -> F32:
-    return kernel_input(values).view(np.float32).reshape(*values.shape, 2)
-
-
-def _writable_parts(values: C64) -> F32:
-    return values.view(np.float32).reshape(*values.shape, 2)
-
-
-@njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")  # type: ignore[untyped-decorator]  # numba has no types
-def _to_ratio(arrived: F32, position: F32, flash: F32, turns: F32, ratio: F32) -> None:
-    """Irradiance, turned by the way to the camera, over the flash's."""
-    for v in prange(arrived.shape[1]):
-        for f in range(turns.size):
-            for u in range(arrived.shape[2]):
-                x, y, z = position[0, v, u], position[1, v, u], position[2, v, u]
-                s, c = sincos(-np.sqrt(x * x + y * y + z * z) * turns[f])
-                scale = 1 / max(flash[f, v, u], np.float32(1e-9))
-                re, im = arrived[f, v, u, 0] * scale, arrived[f, v, u, 1] * scale
-                ratio[f, v, u, 0] = re * c - im * s
-                ratio[f, v, u, 1] = re * s + im * c
 
 
 def _doubtful(

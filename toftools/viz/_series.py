@@ -125,7 +125,7 @@ def empty(title: str) -> str:
     return svg(title, "", [text])
 
 
-def svg(title: str, note: str, parts: Sequence[str]) -> str:
+def svg(title: str, note: str, parts: Sequence[str], height: float = HEIGHT) -> str:
     """The outer element: white ground, one font, title, note.
 
     Parameters
@@ -134,6 +134,8 @@ def svg(title: str, note: str, parts: Sequence[str]) -> str:
         Two lines at the top.
     parts : sequence of str
         SVG elements.
+    height : float
+        Height, px.
 
     Returns
     -------
@@ -146,11 +148,11 @@ def svg(title: str, note: str, parts: Sequence[str]) -> str:
     ]
     body = "\n".join([*head, *parts])
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" '
         f'width="{WIDTH}" style="max-width:100%;height:auto" role="img" '
         'font-family="Helvetica,Arial,sans-serif">\n'
         f"<title>{escape(title)}</title>\n"
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#fff"/>\n{body}\n</svg>\n'
+        f'<rect width="{WIDTH}" height="{height:g}" fill="#fff"/>\n{body}\n</svg>\n'
     )
 
 
