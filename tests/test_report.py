@@ -524,6 +524,9 @@ label.dispatchEvent(new MouseEvent('click', { bubbles: true }));
 told.pinned = [state(), label.getAttribute('aria-pressed'), svg.classList.contains('dim')];
 label.dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter', bubbles: true }));
 told.unpinned = state();
+label.focus();
+label.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true }));
+told.next = document.activeElement.dataset.series;
 document.querySelector('a[data-pin=n]').click();
 told.matrix = [location.hash, state()];
 const table = document.querySelector('.summary table');
@@ -554,5 +557,6 @@ def test_charts_and_tables_answer_in_a_browser(folder):
     assert told["hover"] == ["n"] and told["tip"].startswith("n at ")
     assert told["left"] == [[], True]
     assert told["pinned"] == [["m"], "true", True] and told["unpinned"] == []
+    assert told["next"] == "n"
     assert told["matrix"] == ["#axis-light", ["n"]]
     assert told["before"] == ["m", "n"] and told["after"] == [["n", "m"], "ascending"]

@@ -43,11 +43,11 @@
     let over = null;
     untitled(svg);
     for (const part of parts) {
-      const told = untitled(part);
-      if (told !== undefined) own.set(part, told);
-      if (told !== undefined) figures.get(part.dataset.series).push(told);
-      if (part.matches(".label")) Object.assign(part, { tabIndex: 0, role: "button" });
+      own.set(part, untitled(part));
+      if (own.get(part)) figures.get(part.dataset.series).push(own.get(part));
     }
+    const labels = parts.filter((part) => part.matches(".label"));
+    labels.forEach((label, i) => Object.assign(label, { tabIndex: i ? -1 : 0, role: "button" }));
     const first = svg.querySelector(".curve");
     for (const curve of svg.querySelectorAll(".curve")) { // a thin line is hard to meet
       const wide = curve.cloneNode();
@@ -58,15 +58,13 @@
     function paint() {
       const lit = new Set(over === null ? pinned : [...pinned, over]);
       svg.classList.toggle("dim", lit.size > 0);
-      for (const part of parts) {
-        part.classList.toggle("lit", lit.has(part.dataset.series));
-        if (part.matches(".label")) part.ariaPressed = pinned.has(part.dataset.series);
-      }
+      for (const part of parts) part.classList.toggle("lit", lit.has(part.dataset.series));
+      for (const label of labels) label.ariaPressed = pinned.has(label.dataset.series);
     }
     function meet(target, event) {
       const part = target.closest("[data-series]");
       over = part ? part.dataset.series : null;
-      show(part ? (own.has(part) ? [own.get(part)] : figures.get(over)) : [], event);
+      show(part ? (own.get(part) ? [own.get(part)] : figures.get(over)) : [], event);
       paint();
     }
     function leave() {
@@ -89,10 +87,12 @@
     }
     svg.addEventListener("click", ({ target }) => { if (!target.closest("[data-series]")) toggle(null); });
     svg.addEventListener("keydown", (event) => {
+      const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
       if (event.key === "Escape") { leave(); toggle(null); }
-      if (event.key !== "Enter" && event.key !== " ") return;
+      if (!step && event.key !== "Enter" && event.key !== " ") return;
       event.preventDefault();
-      toggle(event.target.dataset.series ?? null);
+      if (step) labels.at((labels.indexOf(event.target) + step) % labels.length).focus();
+      else toggle(event.target.dataset.series ?? null);
     });
     pins.set(svg, (name) => {
       if (!figures.has(name)) return;
