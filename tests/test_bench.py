@@ -341,7 +341,7 @@ def test_a_traced_scene_is_rendered_once_and_to_its_tolerance(tmp_path, monkeypa
             assert capture.provenance["tolerance_mm"] == pytest.approx(40)
             assert np.abs(capture.truth.one_bounce).max() > 0
     written = [path.stat().st_mtime_ns for path in captures]
-    monkeypatch.setattr("toftools.bench.plan.find", None)  # nothing may be made again
+    monkeypatch.setattr("toftools.bench.ingest.find", None)  # nothing may be made again
     make_plan(suite, tmp_path / "out")
     assert [path.stat().st_mtime_ns for path in captures] == written
 

@@ -7,26 +7,18 @@ what the first one made.
 import json
 import logging
 import math
-import os
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from toftools.bench.fingerprint import capture_digest, digest, package_digest
+from toftools.bench.fingerprint import digest
+from toftools.bench.ingest import ingest, name_of
 from toftools.bench.methods import check_method, points, setting
 from toftools.bench.references import REFERENCES
 from toftools.bench.source import Source
-from toftools.bench.suite import Suite, expand
+from toftools.bench.suite import Suite
 from toftools.io.atomic import atomic_path
-from toftools.io.native import read_capture, write_capture
-from toftools.io.open import open_capture
-from toftools.registry import SIMULATORS, find, parse_entry
-from toftools.sensors import sensor
-from toftools.sim.choice import choose
-from toftools.types import Capture, Scene, Shot
 
 log = logging.getLogger(__name__)
 
@@ -53,11 +45,7 @@ class Point:
     def key(self) -> str:
         """File stem of the point under ``runs/``."""
         mark = digest([self.capture, self.method, dict(self.params)])[:8]
-        return f"{self.capture}--{_slug(self.method)}-{mark}"
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")[:60]
+        return f"{self.capture}--{name_of(self.method)}-{mark}"
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401 - any JSON value
@@ -121,7 +109,7 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     for text in methods:
         check_method(text, suite.grid)
     make_folders(out)
-    listed = [(source, item) for source in suite.sources for item in _ingest(source, suite, out)]
+    listed = [(source, item) for source in suite.sources for item in ingest(source, suite, out)]
     captures = [item for source, item in listed if not source.ladder]
     # The climbs of ladders: captures that several rungs or ladders share are listed once.
     climbs = [
@@ -134,32 +122,42 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     if not listed:
         msg = f"suite {suite.name} found no capture; set TOFTOOLS_DATA or give scenes"
         raise ValueError(msg)
-    found = [
+    found = _points(captures, methods, suite)
+    every = [*found, *(point for _, point in climbs)]
+    plan = list({point.key: point for point in every}.values())  # a setting named twice runs once
+    told = {
+        "ladders": _ladders(climbs, {point.key for point in found}),
+        "captures": [*captures, *shared.values()],
+        "points": [asdict(point) for point in plan],
+    }
+    write_json(out / "plan.json", {**_about(suite), **told})
+    return plan
+
+
+def _points(
+    captures: Iterable[Mapping[str, Any]], methods: Iterable[str], suite: Suite
+) -> list[Point]:
+    """Every setting of every method on every capture; references where they exist."""
+    return [
         Point(str(item["id"]), method, params)
         for item in captures
         for text in methods
         for method, params in points(text, suite.grid)
         if method not in REFERENCES or _applies(method, params, item)
     ]
-    every = [*found, *(point for _, point in climbs)]
-    plan = list({point.key: point for point in every}.values())  # a setting named twice runs once
-    write_json(
-        out / "plan.json",
-        {
-            "suite": suite.name,
-            "repeats": suite.repeats,
-            # JSON has no infinity: no limit is null.
-            "mask": {
-                "min_range_m": suite.min_range_m,
-                "max_range_m": suite.max_range_m if math.isfinite(suite.max_range_m) else None,
-            },
-            "axes": {s.axis: s.about for s in suite.sources if s.axis},
-            "ladders": _ladders(climbs, {point.key for point in found}),
-            "captures": [*captures, *shared.values()],
-            "points": [asdict(point) for point in plan],
-        },
-    )
-    return plan
+
+
+def _about(suite: Suite) -> dict[str, Any]:
+    """What later stages ask of a suite."""
+    farthest_m = (
+        suite.max_range_m if math.isfinite(suite.max_range_m) else None
+    )  # JSON: no infinity
+    return {
+        "suite": suite.name,
+        "repeats": suite.repeats,
+        "mask": {"min_range_m": suite.min_range_m, "max_range_m": farthest_m},
+        "axes": {s.axis: s.about for s in suite.sources if s.axis},
+    }
 
 
 def _ladders(
@@ -223,81 +221,3 @@ def _applies(method: str, params: Mapping[str, Any], item: Mapping[str, Any]) ->
     if method == "reported":
         return bool(item["reported"]) and params.get("name", "") in ("", *item["reported"])
     return bool(item["truth"]) and int(params.get("freq_index", 0)) < int(item["n_freqs"])
-
-
-def _ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:
-    if source.sensor is not None:
-        name = _slug(source.text)
-        wish = [source.text, source.sensor, source.engine, source.tol_mm, source.claimed]
-        mark = digest([*wish, source.seed, package_digest()])[:8]
-        yield _store(source, name, out / "captures" / f"{name}-{mark}.h5", lambda: _shot(source))
-        return
-    if source.unless in os.environ:
-        log.info("left out %s: %s is set", source.text, source.unless)
-        return
-    files = expand(source, suite.folder)
-    if files is None:
-        log.warning("left out %s: the environment variable is not set", source.text)
-        return
-    if not files:
-        msg = f"no file matches {source.text!r}, relative to {suite.folder}"
-        raise ValueError(msg)
-    for file in files:
-        # A reader may open files beside this one: the digest is of what it made of them all.
-        capture = open_capture(file, source.format)
-        name = _slug(file.stem)
-        path = out / "captures" / f"{name}-{capture_digest(capture)[:8]}.h5"
-        yield _store(source, name, path, partial(_same, capture))
-
-
-def _same(capture: Capture) -> Capture:
-    return capture
-
-
-def _shot(source: Source) -> Capture:
-    device = sensor(str(source.sensor))
-    light_seed = 0 if source.axis or source.ladder else None  # they share what light they can
-    shot = Shot(device, source.seed, tol_m=1e-3 * source.tol_mm, light_seed=light_seed)
-    scene = Scene(*parse_entry(source.text))
-    engine = choose(scene, device)[0] if source.engine == "auto" else source.engine
-    capture: Capture = _simulator(engine, source.text)(shot)
-    if capture.provenance.get("tolerance_met") is False:
-        log.warning("%s has a standard error of range above %g mm", source.text, source.tol_mm)
-    return _told(capture, source.claimed) if source.claimed else capture
-
-
-@lru_cache(maxsize=1)
-def _simulator(engine: str, scene: str) -> Callable[[Shot], Capture]:
-    """The simulator of the scene before, if it is the same: it remembers light."""
-    run: Callable[[Shot], Capture] = find(SIMULATORS, engine).build(Scene(*parse_entry(scene)))
-    return run
-
-
-def _told(capture: Capture, claimed: str) -> Capture:
-    """The capture as somebody has it who believes in another sensor than the one that took it."""
-    told = {"claimed_sensor": claimed, **capture.provenance}
-    return replace(capture, sensor=sensor(claimed), phasors=None, provenance=told)
-
-
-def _store(source: Source, name: str, path: Path, make: Callable[[], Capture]) -> dict[str, Any]:
-    """Make the capture file unless it is there and readable, and describe it."""
-    try:
-        capture = read_capture(path)
-    except ValueError:
-        capture = make()
-        write_capture(path, capture)
-    return {
-        "id": path.stem,
-        "name": name,
-        "group": source.group,
-        **(
-            {"axis": source.axis, "value": source.value, "seed": source.seed} if source.axis else {}
-        ),
-        "truth": capture.truth is not None,
-        "camera_depth": capture.depth is not None,
-        "reported": list(capture.reported),
-        "n_freqs": capture.sensor.modulation.n_freqs,
-        "width": capture.sensor.camera.width,
-        "height": capture.sensor.camera.height,
-        "freqs_hz": capture.sensor.modulation.freqs_hz.tolist(),
-    }
