@@ -244,17 +244,17 @@ def main(arguments=None):
     if unknown := [name for name in names if name not in SCENES]:
         parser.error(f"unknown scenes {unknown}; known: {', '.join(SCENES)}")
     camera = sensor(SENSOR.format(width=given.width, height=given.height))
-    results = {}
-    for name in names:
-        begin = time.perf_counter()
-        results[name] = measured(SCENES[name], camera)
-        print(f"{name}: {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
     here = machine(os.cpu_count() or 1)
     about = {"width": given.width, "height": given.height, "cpu": here["cpu"],
              "threads": here["threads"], "versions": versions(),
              "counts": "; ".join(f"{', '.join(map(str, c))} of {n}"
                                  for n, c in COUNTS.items())}  # fmt: skip
-    publish(given.out, results, about)
+    results = {}
+    for name in names:
+        begin = time.perf_counter()
+        results[name] = measured(SCENES[name], camera)
+        print(f"{name}: {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+        publish(given.out, results, about)  # minutes of work do not hang on the last scene
 
 
 if __name__ == "__main__":

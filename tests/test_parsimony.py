@@ -2,6 +2,9 @@
 
 import csv
 import json
+import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,6 +93,14 @@ def test_what_is_no_ladder(change, said):
     with pytest.raises(ValueError, match=r"ladder|name|sensor|kde") as caught:
         list(ladder_sources([{**LADDER, **change}], "mine.toml"))
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_ladder_of_the_docs_is_one():
+    page = (Path(__file__).parents[1] / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    (block,) = (part for part in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+                if "[[ladder]]" in part)  # fmt: skip
+    found = list(ladder_sources(tomllib.loads(block)["ladder"], "docs"))
+    assert [s.label for s in found][::4] == ["0", "1", "2", "all"]
 
 
 def test_ladders_have_names_of_their_own():
