@@ -76,3 +76,11 @@ def test_unknown_scenes_are_refused(ladder, capsys):
     with pytest.raises(SystemExit):
         ladder.main(["--only", "moon"])
     assert "unknown scenes ['moon']" in capsys.readouterr().err
+
+
+def test_the_page_of_the_docs_is_that_of_its_figures(ladder):
+    docs = Path(__file__).parents[1] / "docs"
+    told = json.loads((docs / "simulator_ladder.json").read_text(encoding="utf-8"))
+    page = (docs / "simulator_ladder.md").read_text(encoding="utf-8")
+    assert page == ladder.page(told["scenes"], told["about"])
+    assert set(told["scenes"]) == set(ladder.SCENES)
