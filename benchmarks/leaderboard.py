@@ -56,10 +56,11 @@ def rounded(value):
 
 def group_rows(rows):
     """One small row per group and method setting, and one per method that does not apply."""
-    for group, mine in groups(row for row in rows if "axis" not in row).items():
+    for group, mine in groups(r for r in rows if not {"axis", "ladders"} & set(r)).items():
         for line in summarise(mine):
             figures = {name: rounded(line.metrics.get(name)) for name in METRICS}
-            yield {"group": group, "method": line.method, "label": line.label, **figures,
+            told = {"group": group, "against": mine[0]["against"], "method": line.method}
+            yield {**told, "label": line.label, **figures,
                    "ms": rounded(line.ms), "peak_mb": rounded(line.peak_mb), "timed": line.timed,
                    "complete": line.complete, "note": line.note}  # fmt: skip
         yield from ({"group": group, "unsuited": sentence} for sentence in unsuited(mine))
@@ -97,6 +98,9 @@ def take(folder, commit, results=RESULTS):
     """Keep the small rows of a run; the file they went to."""
     rows = rows_of(folder)
     known = [row for row in rows if row.get("machine")]
+    if len({json.dumps(row["machine"], sort_keys=True) for row in known}) > 1:
+        msg = f"{folder} holds times of several machines; take runs of one machine each"
+        raise ValueError(msg)
     about = {"suite": rows[0]["suite"], "commit": commit, "machine": known[0]["machine"],
              "versions": known[0]["versions"], "points": len(rows),
              "captures": len({row["capture_id"] for row in rows})}  # fmt: skip

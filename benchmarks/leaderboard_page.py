@@ -14,9 +14,10 @@ the one with the least mean absolute error counts, and which that is, the truth 
 names it, and how many were tried. Ranked is what answers every capture of the group, and at least
 half of their pixels. Rows without a rank are references, which see the truth or are somebody's
 published output, and the uncorrected input: what does not come before it is worse than doing
-nothing. ms is the median time of a frame, MB the memory beyond an empty process; *holds on* is the
-number of stress axes on which a method does not break, from the suite `stress`: of the very setting
-where that suite has it, else of the one setting that it has.
+nothing. Against the camera's own distance nothing is ranked: to be near it is to share its errors.
+ms is the time of a frame, the mean over captures of medians, MB the memory beyond an empty process;
+*holds on* is the number of stress axes on which a method does not break, from the suite `stress`:
+of the very setting where that suite has it, else of the one setting that it has.
 
 ## Your own row
 
@@ -106,7 +107,8 @@ def order(row):
 def counts(row):
     """Whether a row may have a rank."""
     enough = row["valid_share"] is not None and row["valid_share"] >= LEAST_VALID
-    return row["timed"] and row["complete"] and enough and row["mae_m"] is not None
+    known = row.get("against", "truth") == "truth"  # to be near the camera is to share its errors
+    return known and row["timed"] and row["complete"] and enough and row["mae_m"] is not None
 
 
 def ranked(shown, held):

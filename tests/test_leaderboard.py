@@ -82,6 +82,24 @@ def test_a_run_becomes_ranks(board, tmp_path):
     assert "- `half`: failed on 1 of 2: half cannot" in page
 
 
+def test_against_the_camera_nothing_is_ranked(board, tmp_path):
+    rows = [{**row(m, "a", e), "against": "camera"} for m, e in (("near", 0.01), ("far", 0.09))]
+    table = cells(made(board, tmp_path, run(tmp_path / "run", rows, [])))
+    assert {line[0] for line in table if "near" in line[1] or "far" in line[1]} == {"–"}
+
+
+def test_times_of_several_machines_are_refused(board, tmp_path, capsys):
+    rows = [row("a", "a", 0.01), {**row("b", "a", 0.02), "machine": {**MACHINE, "jobs": 4}}]
+    with pytest.raises(SystemExit):
+        made(board, tmp_path, run(tmp_path / "run", rows, []))
+    assert "holds times of several machines" in capsys.readouterr().err
+
+
+def test_rungs_of_ladders_are_not_compared_as_a_group(board, tmp_path):
+    rows = [*ROWS, {**row("rung", "c", 1e-4), "ladders": ["bounces"]}]
+    assert "rung" not in made(board, tmp_path, run(tmp_path / "run", rows))
+
+
 def test_stress_axes_are_ranked_by_what_holds(board, tmp_path):
     lines = cells(made(board, tmp_path, run(tmp_path / "out")))
     assert lines[-2:] == [

@@ -415,6 +415,17 @@ def test_shared_captures_are_listed_once_and_climbed_by_their_own_rungs_alone(fo
     assert len(own) == 1  # crt there is a point of the suite as well
 
 
+def test_a_suite_of_ladders_alone_takes_no_other_method(tmp_path):
+    text = SUITE.replace('methods = ["crt:max_range_m=0", "single:freq_index=1"]', "")
+    text = "\n".join(line for line in text.splitlines() if "scene =" not in line)
+    (tmp_path / "alone.toml").write_text(text, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir("tests")
+        suite = load_suite(str(tmp_path / "alone.toml"))
+        with pytest.raises(ValueError, match="ladders alone"):
+            make_plan(suite, tmp_path / "out", ("crt",))
+
+
 def test_rows_of_ladders_say_so_and_all_else_stays(folder):
     rows = score(folder)
     mine = {r["method"].split(":")[-1]: r.get("ladders") for r in rows if r["capture"][0] == "w"}

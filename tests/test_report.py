@@ -97,6 +97,12 @@ def test_the_summary_of_rows_made_by_hand():
     assert found["lazy"].valid_share == pytest.approx(0.3)
 
 
+def test_rungs_of_ladders_have_no_rank():
+    rows = [row("a", 0.01), row("b", 0.02), {**row("rung", 0.001), "ladders": ["bounces"]}]
+    assert [one.method for one in standings(rows, {})] == ["a", "b"]
+    assert [one.best for one in cheapest(rows)] == [one.best for one in cheapest(rows[:2])]
+
+
 def test_the_cheapest_within_a_tenth_answers_everything():
     found = {one.group: one for one in cheapest(several())}
     # best errs 0.02 on average, fast 0.021 at a fifth of the time; lazy and late leave something.
@@ -389,6 +395,13 @@ def test_every_chart_is_there_as_svg_png_and_csv_and_the_figures_are_those_of_th
     summary = {line["method"]: line for line in lines("summary.csv")}
     assert summary["m"]["rank: g"] == "1" and summary["n"]["rank: g"] == "2"
     assert lines("cheapest.csv")[0]["best"] == "m"
+
+
+def test_no_two_places_of_the_page_share_an_address(folder):
+    page = report(folder).read_text(encoding="utf-8")
+    addresses = re.findall(r' id="([^"]+)"', page)
+    assert len(addresses) == len(set(addresses)) > 3
+    assert {a for a in re.findall(r'href="#([^"]+)"', page)} <= set(addresses)
 
 
 def test_the_page_loads_nothing_and_runs_its_own_script_only(folder):

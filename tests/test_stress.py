@@ -200,8 +200,17 @@ def test_one_crash_among_three_seeds_is_no_error_of_the_method():
     course = courses(rows)[0]
     assert course.valid[1].tolist() == [1, 0, 1] and np.isfinite(course.input_m).sum() == 8
     found = stability(course)
-    assert found.breaks_at is None and found.high is None and found.low < 3
+    assert found.breaks_at is None and found.high is None and found.low is None
     assert found.flags == ("fails",)
+
+
+def test_a_course_that_is_not_all_run_says_so():
+    """One of three seeds is there at the hard end, and no value is taken for broken or held."""
+    rows = [row(v, s, 0.01, 0.1, status="missing" if v > 2 and s else "ok")
+            for v in (1, 2, 3, 4) for s in (0, 1, 2)]  # fmt: skip
+    found = stability(courses(rows)[0])
+    assert found.breaks_at is None and found.flags == ("unfinished",)
+    assert found.seeds == 3 and np.isnan(found.low), "the one whole seed tells no spread"
 
 
 def test_the_input_of_a_crashed_point_is_that_of_other_methods():

@@ -37,9 +37,9 @@ def name_of(text: str) -> str:
     Returns
     -------
     str
-        Letters, digits, ``_``, ``.`` and ``-``, at most 60.
+        Letters, digits, ``_``, ``.`` and ``-``, 1 to 60.
     """
-    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")[:60]
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")[:60] or "capture"
 
 
 def ingest(source: Source, suite: Suite, out: Path) -> Iterator[dict[str, Any]]:

@@ -7,6 +7,7 @@ import csv
 import io
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,13 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from toftools.bench.best import best_of_each, entries
+from toftools.bench.figures import slug
 from toftools.bench.light_models import light_model
 from toftools.bench.parsimony import ALL, Climb, climbs
 from toftools.bench.pixels import key_of, pixel_errors
 from toftools.bench.render import number
-from toftools.bench.table import groups, label_of, summarise
+from toftools.bench.table import groups, label_of
 from toftools.io.atomic import atomic_path
 from toftools.viz.parsimony import Scaled, parsimony_svg
 
@@ -86,27 +89,22 @@ def group_ladder(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     dict
         As `plan` has ladders; methods that nobody timed are left out.
     """
-    best: dict[str, Any] = {}
-    for line in summarise(rows):
-        error = line.metrics.get("mae_m", math.nan)
-        if not line.timed or not math.isfinite(line.ms) or not math.isfinite(error):
-            continue
-        # A setting without an answer somewhere is best only if no setting has all.
-        rank = (not line.complete, error)
-        if line.method not in best or rank < best[line.method][0]:
-            best[line.method] = (rank, line)
-    ordered = sorted((line for _, line in best.values()), key=lambda line: line.ms)
+    best = [one for one in best_of_each(entries(rows)).values() if one.ms and one.answered]
+    ordered = sorted(best, key=lambda one: one.mean_ms)
+    names = {str(row["capture_id"]): str(row["capture"]) for row in rows}
+    alone = Counter(names.values())
     keys: dict[str, dict[str, list[str]]] = {}
     for row in rows:
         mine = keys.setdefault(label_of(row), {})
-        mine.setdefault(str(row["capture"]), []).append(key_of(row))
+        name, mark = str(row["capture"]), str(row["capture_id"])
+        mine.setdefault(name if alone[name] == 1 else mark, []).append(key_of(row))
     return {
         "about": "methods, quickest first",
         "within_m": WITHIN_M,
         "rungs": [
-            {"rung": line.ms, "label": line.method, "method": line.label,
-             "scenes": keys[line.label]}
-            for line in ordered
+            {"rung": one.mean_ms, "label": one.method, "method": one.label,
+             "scenes": keys[one.label]}
+            for one in ordered
         ],
     }  # fmt: skip
 
@@ -162,11 +160,12 @@ def _part(
     drawn = [Scaled(c.scene or f"all {word}", c.error_m, c.ms, c.first, c.knee) for c in shown]
     svg = parsimony_svg(found[0].labels, drawn, title=name, name=str(ladder["about"]),
                         within_m=float(ladder["within_m"]))  # fmt: skip
-    slug = "".join(c if c.isalnum() else "-" for c in name)
-    (out / "figures" / f"{kind}-{slug}.svg").write_text(svg, encoding="utf-8")
+    mark = f"{'ladder' if kind == 'ladder' else 'suffices'}-{slug(name)}"
+    with atomic_path(out / "figures" / f"{mark}.svg") as path:
+        path.write_text(svg, encoding="utf-8")
     whole = found[-1]
     return {
-        "kind": kind, "name": name, "id": f"{kind}-{slug}", "svg": svg,
+        "kind": kind, "name": name, "id": mark, "svg": svg,
         "within_mm": number(ladder["within_m"], 1e3, "g"),
         "knee": "" if whole.knee is None else whole.labels[whole.knee],
         "none": f"{max(1 - float(whole.first.sum()), 0):.0%}",

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from toftools.bench.fingerprint import digest
-from toftools.bench.ingest import ingest, name_of
+from toftools.bench.ingest import _simulator, ingest, name_of
 from toftools.bench.methods import check_method, points, setting
 from toftools.bench.references import REFERENCES
 from toftools.bench.source import Source
@@ -110,7 +110,9 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
         check_method(text, suite.grid)
     make_folders(out)
     listed = [(source, item) for source in suite.sources for item in ingest(source, suite, out)]
-    captures = [item for source, item in listed if not source.ladder]
+    _simulator.cache_clear()  # it keeps the last scene and its light
+    plain = [item for source, item in listed if not source.ladder]
+    captures = list({(item["id"], item["group"]): item for item in plain}.values())
     # The climbs of ladders: captures that several rungs or ladders share are listed once.
     climbs = [
         (source, Point(str(item["id"]), *setting(source.method)))
@@ -121,6 +123,9 @@ def make_plan(suite: Suite, out: Path, extra_methods: tuple[str, ...] = ()) -> l
     shared = {item["id"]: item for source, item in listed if item["id"] not in known}
     if not listed:
         msg = f"suite {suite.name} found no capture; set TOFTOOLS_DATA or give scenes"
+        raise ValueError(msg)
+    if extra_methods and not captures:
+        msg = f"suite {suite.name} has ladders alone, which name their own methods; leave --method"
         raise ValueError(msg)
     found = _points(captures, methods, suite)
     every = [*found, *(point for _, point in climbs)]

@@ -84,14 +84,14 @@ def _checked(row: object) -> dict[str, Any]:
         _wrong("capture_id", row["capture_id"], "letters, digits, and . _ + = -")
     if row["against"] not in AGAINST:
         _wrong("against", row["against"], f"one of {', '.join(AGAINST)}")
-    for name in FIGURES:
+    for name in (*FIGURES, "bound_m", "spectral_radius"):
         _number(name, row.get(name), positive=True)
     error = row.get("error")
     if error is not None and not isinstance(error, str):
         _wrong("error", error, "a text or null")
     row["error"] = error and _shown(error[:MOST_ERROR_LETTERS])
     row["params"] = _params(row.get("params"))
-    for name in ("metrics", "intervals", "pixels", "z"):
+    for name in ("metrics", "intervals", "pixels", "z", "sensitivity"):
         _numbers(name, row, needed=name == "metrics")
     _told(row)
     _coverage(row.get("coverage"))

@@ -54,6 +54,8 @@ class Course:
         Share of answers within the intervals of 68 and 95 %; NaN without a sigma.
     failures : tuple of str
         What went wrong, once each.
+    unfinished : bool
+        Whether points of it were not run yet; they are left out.
     """
 
     axis: str
@@ -65,6 +67,7 @@ class Course:
     worst_m: F64
     inside: F64
     failures: tuple[str, ...] = ()
+    unfinished: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ class Stability:
         Value where it breaks; None if it does not.
     low, high : float or None
         Interval of 95 % of that value; None where that end lies beyond the axis, NaN of one seed.
+    seeds : int
+        Captures per value.
     share : float
         Part of the axis that it survives, 0..1, in steps of its values.
     why : str
@@ -91,7 +96,7 @@ class Stability:
     inside_68, inside_95 : float
         Shares within the intervals at the easiest values; NaN without a sigma.
     flags : tuple of str
-        ``unstable``, ``overconfident``, ``fails``.
+        ``unstable``, ``overconfident``, ``fails``, ``unfinished``.
     """
 
     axis: str
@@ -99,6 +104,7 @@ class Stability:
     breaks_at: float | None
     low: float | None
     high: float | None
+    seeds: int
     share: float
     why: str
     benign_m: float
@@ -131,12 +137,11 @@ def courses(rows: Iterable[Mapping[str, Any]]) -> list[Course]:
         before = _inputs(every)
         by_label: dict[str, list[Mapping[str, Any]]] = {}
         for row in every:
-            if row["status"] != "missing":
-                by_label.setdefault(label_of(row), []).append(row)
+            by_label.setdefault(label_of(row), []).append(row)
         found += [
             _course(axis, label, mine, before)
             for label, mine in by_label.items()
-            if any(row["status"] != "unsuited" for row in mine)
+            if any(row["status"] not in ("unsuited", "missing") for row in mine)
         ]
     return found
 
@@ -153,6 +158,7 @@ def _inputs(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[float, int], float]
 def _course(
     axis: str, label: str, rows: Sequence[Mapping[str, Any]], before: Mapping[Any, float]
 ) -> Course:
+    planned, rows = len(rows), [row for row in rows if row["status"] != "missing"]
     values = list(dict.fromkeys(float(row["value"]) for row in rows))
     seeds = sorted({int(row["seed"]) for row in rows})
     shape = (len(values), len(seeds))
@@ -172,6 +178,7 @@ def _course(
     return Course(
         axis, label, np.array(values), tables["mae_m"], tables["input_mae_m"],
         tables["valid_share"], tables["p99_m"], inside, tuple(said),
+        len(rows) < planned,
     )  # fmt: skip
 
 
@@ -199,7 +206,7 @@ def stability(course: Course) -> Stability:
         course.axis, course.label,
         None if place > last else _value(course.values, place),
         None if low > last else _value(course.values, low),
-        None if high > last else _value(course.values, high),
+        None if high > last else _value(course.values, high), course.error_m.shape[1],
         float(min(place, last) / max(last, 1)), why, float(_mean(course.error_m)[0]),
         _slope(course), inside[0], inside[1], _flags(course, inside[0]),
     )  # fmt: skip
@@ -214,8 +221,8 @@ def _mean(table: F64) -> F64:
 
 
 def _place(error: F64, raw: F64, valid: F64) -> tuple[float, str]:
-    """Where a course (V,) breaks, in steps of the axis, and why; inf if nowhere."""
-    answered = valid.mean(axis=1) >= LEAST_VALID
+    """Where errors (V,) break, in steps of the axis, and why; inf if nowhere."""
+    answered = _mean(valid) >= LEAST_VALID
     benign = WORSE * error[0]
     # How far beyond each limit, as a ratio: 1 is the limit itself.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -244,15 +251,18 @@ def _interval(course: Course) -> tuple[float, float]:
     """Ends of the t interval of the places of the seeds, in steps; NaN of one seed."""
     from scipy.stats import t
 
-    count, beyond = course.error_m.shape[1], float(course.values.size)
-    if count == 1:
+    beyond = float(course.values.size)
+    # A crash where the other seeds have answers says nothing of where the method breaks.
+    crashed = (course.valid == 0) & (_mean(course.valid) >= LEAST_VALID)[:, None]
+    whole = np.flatnonzero(~(crashed | np.isnan(course.valid)).any(axis=0))
+    if whole.size < 2:
         return np.nan, np.nan
     places = np.array([
         min(_place(course.error_m[:, s], course.input_m[:, s], course.valid[:, s : s + 1])[0],
             beyond)
-        for s in range(count)
+        for s in whole
     ])  # fmt: skip
-    half = float(t.ppf(0.975, count - 1)) * places.std(ddof=1) / np.sqrt(count)
+    half = float(t.ppf(0.975, whole.size - 1)) * places.std(ddof=1) / np.sqrt(whole.size)
     return float(max(places.mean() - half, 0.0)), float(min(places.mean() + half, beyond))
 
 
@@ -268,16 +278,12 @@ def _value(values: F64, place: float) -> float:
 
 def _slope(course: Course) -> float:
     """Rise from the easy end to the first value that rises by more than its spread over seeds."""
-    mean, spread = _mean(course.error_m), _spread(course.error_m)
+    mean = _mean(course.error_m)
+    spread = np.sqrt(_mean((course.error_m - mean[:, None]) ** 2))
     for at in range(1, mean.size):
         if np.isfinite(mean[at]) and mean[at] - mean[0] > spread[at] + spread[0]:
             return float((mean[at] - mean[0]) / abs(course.values[at] - course.values[0]))
     return float("nan")
-
-
-def _spread(table: F64) -> F64:
-    """Standard deviation over the seeds that there are."""
-    return np.asarray(np.sqrt(_mean((table - _mean(table)[:, None]) ** 2)))
 
 
 def _flags(course: Course, inside: float) -> tuple[str, ...]:
@@ -287,5 +293,6 @@ def _flags(course: Course, inside: float) -> tuple[str, ...]:
         "unstable": bool(((error > UNSTABLE * raw) & (error > NOTICED_M)).any()),
         "overconfident": inside < LEAST_INSIDE,
         "fails": bool(course.failures),
+        "unfinished": course.unfinished,
     }
     return tuple(name for name, so in found.items() if so)

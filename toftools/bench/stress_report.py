@@ -82,7 +82,7 @@ def _cell(told: Stability | None) -> dict[str, str]:
         tip += f"; within one sigma {told.inside_68:.0%}, within 95 % {told.inside_95:.0%}"
     if told.flags:
         tip += "; " + ", ".join(told.flags)
-    marks = {"unstable": "u", "overconfident": "o", "fails": "f"}
+    marks = {"unstable": "u", "overconfident": "o", "fails": "f", "unfinished": "n"}
     return {"text": text, "style": _colour(told.share), "tip": tip,
             "flags": "".join(marks[flag] for flag in told.flags),
             "share": f"{told.share:.4f}"}  # fmt: skip

@@ -138,7 +138,7 @@ def _suite(table: Mapping[str, Any], path: Path) -> Suite:
         )
         raise ValueError(msg)
     return Suite(
-        name=str(table.get("name", path.stem)),
+        name=str(table.get("name") or path.stem),
         folder=path.parent,
         sources=(*sources, *ladders),
         methods=methods,
@@ -163,7 +163,7 @@ def _files(entries: list[Any], where: str) -> Iterator[Source]:
             raise ValueError(msg)
         check_keys(item, ("path", "format", "group", "unless"), f"captures of {where}")
         pattern = str(item["path"])
-        group = str(item.get("group", Path(pattern).parent.name or "captures"))
+        group = str(item.get("group") or Path(pattern).parent.name or "captures")
         yield Source(pattern, group, item.get("format"), unless=str(item.get("unless", "")))
 
 
@@ -180,7 +180,7 @@ def _scenes(table: Mapping[str, Any], where: str) -> Iterator[Source]:
             if not 0 < tol_mm < float("inf"):
                 msg = f"tol_mm in {where} must be a positive number, got {tol_mm:g}"
                 raise ValueError(msg)
-            group = str(entry.get("group", f"scenes, {parse_name(sensor)[0]}"))
+            group = str(entry.get("group") or f"scenes, {parse_name(sensor)[0]}")
             yield Source(entry["scene"], group, None, sensor, engine, tol_mm)
 
 

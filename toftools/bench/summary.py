@@ -144,8 +144,13 @@ def standings(
 
 
 def _groups(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Rows by group, those of axes and those without truth left out."""
-    return groups(row for row in rows if "axis" not in row and row["against"] == "truth")
+    """Rows by group; those of axes, of ladders and without truth left out."""
+    # Each rung of a ladder has captures of its own: their means do not compare.
+    return groups(
+        row
+        for row in rows
+        if "axis" not in row and "ladders" not in row and row["against"] == "truth"
+    )
 
 
 def _standing(

@@ -27,8 +27,8 @@ class _AllByDefault(click.Group):
 def command() -> None:
     """Run, score and report methods over captures: toftools bench SUITE --out DIR.
 
-    SUITE is a built-in name (quick, core, real, full) or a TOML file. Without a stage all three
-    are done; `toftools bench all --help` lists the options.
+    SUITE is a built-in name (quick, core, real, full, stress, parsimony) or a TOML file. Without a
+    stage all three are done; `toftools bench all --help` lists the options.
     """
 
 
@@ -173,11 +173,14 @@ def _score(out: Path, *, as_json: bool) -> None:
         for row in rows:
             click.echo(json.dumps(row))
         return
-    for name, mine in groups(rows).items():
+    ladders = dict.fromkeys(name for row in rows for name in row.get("ladders", ()))
+    for name, mine in groups(row for row in rows if "ladders" not in row).items():
         click.echo(f"\n{name}")
         click.echo(text_table(summarise(mine)))
         for sentence in unsuited(mine):
             click.echo(f"({sentence})")
+    if ladders:
+        click.echo(f"\nladders, compared in the report: {', '.join(ladders)}")
 
 
 def _report(out: Path) -> Path:

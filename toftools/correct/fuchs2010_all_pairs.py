@@ -40,7 +40,7 @@ def fuchs2010_all_pairs(
         As for `fuchs2010`.
     bounces : int
         Bounces that are modelled, to learn how many a scene needs; 0 models all, which costs one
-        product of all pairs where n bounces cost n + 1.
+        product of all pairs where n bounces cost n + 1. The first iteration takes all.
 
     Returns
     -------

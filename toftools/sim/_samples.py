@@ -13,6 +13,7 @@ import numpy as np
 from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.sim._flash import flash_light, flashes_of
+from toftools.sim._kept import light_seed
 from toftools.sim._lamps import lamps_seen
 from toftools.sim._stop import needed_bounces
 from toftools.sim._task import Jit, Task, first_hits
@@ -75,7 +76,7 @@ def traced(scene: Scene | World, shot: Shot) -> Traced:
     bounces = shot.max_bounces
     if bounces is None:
         freqs_hz = shot.sensor.modulation.freqs_hz
-        bounces = needed_bounces(task, views, freqs_hz, shot.tol_m, shot.seed).bounces
+        bounces = needed_bounces(task, views, freqs_hz, shot.tol_m, light_seed(shot)).bounces
     by_chance = bounces > 0 or task.lamps or task.holes
     wanted = (shot.samples or DEFAULT_SAMPLES) if by_chance else 0
     fit = MOST_EVENTS // (len(views) * events_per_path(task, bounces))
@@ -84,11 +85,11 @@ def traced(scene: Scene | World, shot: Shot) -> Traced:
     def passes() -> Iterator[Samples]:
         for number in range(-(-wanted // each)):
             # As the engine path seeds its passes.
-            seed = shot.seed * 0x10001 + number
+            seed = light_seed(shot) * 0x10001 + number
             yield indirect_samples(task, first, bounces=bounces, samples=each, seed=seed)
 
     told = {"engine": "path", "max_bounces": bounces, "paths": -(-wanted // each) * each,
-            "path_seed": shot.seed}  # fmt: skip
+            "path_seed": light_seed(shot)}  # fmt: skip
     return Traced(direct_samples(task, first), passes(), told)
 
 

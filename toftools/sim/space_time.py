@@ -24,6 +24,7 @@ from toftools._native import import_mitsuba
 from toftools.camera import rays
 from toftools.sim._bins import Order, Volume
 from toftools.sim._flash import flashes_of
+from toftools.sim._kept import light_seed
 from toftools.sim._samples import DEFAULT_SAMPLES
 from toftools.sim._space_time import RAYS, add_paths, filled
 from toftools.sim._stop import needed_bounces
@@ -88,13 +89,13 @@ def space_time(
     views = rays(shot.sensor.camera).reshape(-1, 3)
     sources = emissions(task, shot.samples or DEFAULT_PATHS)
     bounces = LAST if shot.max_bounces is None else min(shot.max_bounces, LAST)
-    order = Order(start_m, bin_m, n_bins, bounces, shot.seed, int(memory_mb * 1e6))
+    order = Order(start_m, bin_m, n_bins, bounces, light_seed(shot), int(memory_mb * 1e6))
     volume = filled(task, sources, views, shot.sensor.camera.shape, order)
     told: dict[str, Any] = {
         "engine": "instant radiosity",
         "max_bounces": shot.max_bounces,
         "paths": sum(source.paths for source in sources),
-        "path_seed": shot.seed,
+        "path_seed": light_seed(shot),
         "virtual_lights": sum(volume.lights),
         "camera_paths": RAYS if bounces else 0,
         "left_to_path": int(volume.left.sum()),
@@ -127,7 +128,7 @@ def _leave(task: Task, shot: Shot, views: F64, volume: Volume, order: Order) -> 
     bounces = shot.max_bounces
     if bounces is None:
         freqs_hz = shot.sensor.modulation.freqs_hz
-        bounces = needed_bounces(task, views, freqs_hz, shot.tol_m, shot.seed).bounces
+        bounces = needed_bounces(task, views, freqs_hz, shot.tol_m, light_seed(shot)).bounces
     add_paths(task, views, DEFAULT_SAMPLES, volume, replace(order, bounces=bounces))
 
 
