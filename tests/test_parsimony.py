@@ -248,7 +248,7 @@ def test_shares_of_no_pixels_are_none():
 
 def test_methods_of_a_group_are_a_ladder_by_their_time():
     def row(method, params, mae, ms, capture="c"):
-        metrics = {"mae_m": mae, "valid_share": 1.0}
+        metrics = {"mae_m": mae, "input_mae_m": 0.1, "valid_share": 1.0}
         return {"capture": capture, "capture_id": capture, "method": method, "params": params,
                 "status": "ok", "error": None, "metrics": metrics, "ms": ms}  # fmt: skip
 

@@ -398,7 +398,9 @@ def test_every_chart_is_there_as_svg_png_and_csv_and_the_figures_are_those_of_th
 
 
 def test_no_two_places_of_the_page_share_an_address(folder):
-    page = report(folder).read_text(encoding="utf-8")
+    out, ids = folder
+    store(out, usual(ids))
+    page = report(out).read_text(encoding="utf-8")
     addresses = re.findall(r' id="([^"]+)"', page)
     assert len(addresses) == len(set(addresses)) > 3
     assert {a for a in re.findall(r'href="#([^"]+)"', page)} <= set(addresses)
