@@ -30,7 +30,8 @@ def run(folder, network_m):
             params = {key: int(text) if text.isdigit() else text} if key else {}
             rows.append({
                 "suite": "stress", "capture": "v", "capture_id": f"v-{value}",
-                "group": "axis: albedo", "axis": "albedo", "value": value, "seed": 0, "method": name, "params": params,
+                "group": "axis: albedo", "axis": "albedo", "value": value, "seed": 0,
+                "method": name, "params": params,
                 "against": "truth", "status": "ok", "error": None, "metrics": {"mae_m": mae_m},
                 "setup_s": 1.0, "first_call_s": 1.0, "ms": 1.0, "ms_iqr": 0.1, "peak_mb": 1.0,
                 "machine": {"cpu": "some", "threads": 1, "cores": 1, "system": "x"}, "versions": {},
