@@ -10,6 +10,7 @@ import importlib
 import inspect
 import json
 import re
+import tempfile
 from pathlib import Path
 
 from toftools.bench.render import markdown_table, number
@@ -190,7 +191,7 @@ def take_results(folder):
 def pictures():
     import numpy as np
 
-    from toftools.bench.report import _pareto
+    from toftools.bench.pareto import pareto
     from toftools.camera import points
     from toftools.correct.crt import crt
     from toftools.sensors import sensor
@@ -218,7 +219,11 @@ def pictures():
     room = SIMULATORS["path"].build(scene)(Shot(wide, tol_m=5e-3))
     (folder / "room.png").write_bytes(preview_png(room, title="room:seed=8 seen by a kinect2"))
     name, mine = next(iter(results_by_group().items()))
-    _pareto(summarise(mine), name, folder / "pareto.svg")
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "figures").mkdir()
+        title = f"Speed against accuracy: {name}"
+        svg = pareto(Path(place), mine, summarise(mine), title=title, stem="pareto")
+    (folder / "pareto.svg").write_text(svg, encoding="utf-8")
 
 
 def main():
