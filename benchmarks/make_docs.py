@@ -221,8 +221,7 @@ def pictures():
     name, mine = next(iter(results_by_group().items()))
     with tempfile.TemporaryDirectory() as place:
         (Path(place) / "figures").mkdir()
-        title = f"Speed against accuracy: {name}"
-        svg = pareto(Path(place), mine, summarise(mine), title=title, stem="pareto")
+        svg = pareto(Path(place), mine, summarise(mine), title=name, stem="pareto")
     (folder / "pareto.svg").write_text(svg, encoding="utf-8")
 
 
