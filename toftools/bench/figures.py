@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -81,6 +82,30 @@ def write_csv(target: Path, table: Sequence[Mapping[str, Any]]) -> None:
         writer.writerow({key: _field(value) for key, value in line.items()})
     with atomic_path(target) as path:
         path.write_text(text.getvalue(), encoding="utf-8")
+
+
+def write_tables(out: Path, name: str, lines: Sequence[Mapping[str, Any]]) -> None:
+    """Write lines as ``OUT/NAME.csv`` and ``.json``; what is not finite is null there.
+
+    Parameters
+    ----------
+    out : Path
+        Benchmark folder.
+    name : str
+        Stem of the files.
+    lines : sequence of mapping
+        Lines, all with the same keys; a tuple is a list in JSON, words in CSV.
+    """
+    plain = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in line.items()}
+        for line in lines
+    ]
+    with atomic_path(out / f"{name}.json") as path:
+        path.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+    flat = [
+        {k: " ".join(v) if isinstance(v, tuple) else v for k, v in line.items()} for line in plain
+    ]
+    write_csv(out / f"{name}.csv", flat)
 
 
 def _field(value: object) -> object:

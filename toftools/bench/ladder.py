@@ -21,10 +21,9 @@ from toftools.bench.source import (
     number_of,
     seeds_of,
 )
-from toftools.registry import SIMULATORS, find, parse_entry
+from toftools.bench.stress import check_scene
 from toftools.sensors import sensor
-from toftools.sim.choice import choose
-from toftools.types import Camera, Scene
+from toftools.types import Camera
 
 _KEYS = ("name", "about", "unit", "rungs", "labels", "method", "scenes", "sensor", "claimed",
          "engine", "tol_mm", "within_mm", "seeds")  # fmt: skip
@@ -166,10 +165,8 @@ def _steps(entry: Mapping[str, Any], mine: str) -> Iterator[dict[str, str]]:
 
 def _check_scene(text: str, engine: str, first_sensor: str, mine: str) -> None:
     """Refuse a scene that its engine does not know: ValueError."""
-    scene = Scene(*parse_entry(text))
     try:
-        name = choose(scene, sensor(first_sensor))[0] if engine == "auto" else engine
-        find(SIMULATORS, name).build(scene)
+        check_scene(text, sensor(first_sensor), engine)
     except ValueError as error:
         msg = f"{mine}: {error}"
         raise ValueError(msg) from error

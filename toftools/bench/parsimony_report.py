@@ -3,9 +3,6 @@
 ``DIR/parsimony.csv`` and ``DIR/parsimony.json`` hold the same figures for programs.
 """
 
-import csv
-import io
-import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,7 +13,7 @@ import jinja2
 import numpy as np
 
 from toftools.bench.best import best_of_each, entries
-from toftools.bench.figures import slug
+from toftools.bench.figures import slug, write_tables
 from toftools.bench.light_models import light_model
 from toftools.bench.parsimony import ALL, Climb, climbs
 from toftools.bench.pixels import key_of, pixel_errors
@@ -29,9 +26,6 @@ WITHIN_M = 0.01
 """Error up to which a method suffices for a pixel, for suites without ladders."""
 MOST_BARS = 12
 """Captures of a group that get a bar of their own."""
-KEYS = ("ladder", "scene", "rung", "label", "model", "light", "mae_m", "least_m", "most_m",
-        "ms", "valid_share", "within_share", "first_share", "cumulative_share", "knee",
-        "failure")  # fmt: skip
 _TEMPLATE = Path(__file__).with_name("parsimony.html.j2")
 
 
@@ -63,7 +57,8 @@ def parsimony(out: Path, rows: Sequence[Mapping[str, Any]], plan: Mapping[str, A
     if not told:
         return ""
     found = [(kind, ladder, climbs(name, ladder, by_key, pixels)) for kind, name, ladder in told]
-    _write_tables(out, [line for _, _, mine in found for climb in mine for line in lines(climb)])
+    told_of = [line for _, _, mine in found for climb in mine for line in lines(climb)]
+    write_tables(out, "parsimony", told_of)
     (out / "figures").mkdir(exist_ok=True)
     parts = [_part(out, kind, ladder, mine) for kind, ladder, mine in found]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
@@ -120,7 +115,7 @@ def lines(climb: Climb) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        One per rung, with the keys `KEYS`; what is not finite is None.
+        One per rung, with the same keys; what is not finite is None.
     """
     cumulative = np.cumsum(climb.first)
     found = [
@@ -205,14 +200,3 @@ def _table(found: Sequence[Climb]) -> dict[str, Any]:
         for climb in ordered for line in lines(climb)
     ]  # fmt: skip
     return {"head": head, "rows": body}
-
-
-def _write_tables(out: Path, told: Sequence[Mapping[str, Any]]) -> None:
-    with atomic_path(out / "parsimony.json") as path:
-        path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    table = io.StringIO()
-    writer = csv.DictWriter(table, KEYS)
-    writer.writeheader()
-    writer.writerows(told)
-    with atomic_path(out / "parsimony.csv") as path:
-        path.write_text(table.getvalue(), encoding="utf-8")

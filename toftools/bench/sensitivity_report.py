@@ -4,8 +4,6 @@
 of every axis. What each figure is: `sensitivity`, `bound`, `toftools.correct._transport_radius`.
 """
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from toftools.bench.figures import write_tables
 from toftools.bench.render import number
 from toftools.bench.sensitivity import NORMAL_MEDIAN
 from toftools.bench.table import label_of
-from toftools.io.atomic import atomic_path
 from toftools.viz._axes import number as written
 
 COLUMNS = (
@@ -30,7 +28,6 @@ COLUMNS = (
 )
 """Heading, figure, factor, format."""
 FIGURES = tuple(name for _, name, _, _ in COLUMNS)
-KEYS = ("axis", "label", "value", "place", *FIGURES, "errors")
 
 Row = Mapping[str, Any]
 
@@ -63,7 +60,7 @@ def local(out: Path, rows: Sequence[Row]) -> dict[str, Any]:
     mine = [row for part in by_label.values() for row in part]
     lines = _lines([row for row in mine if "axis" in row], _breaks(out))
     if lines:
-        _write(out, lines)
+        write_tables(out, "sensitivity", lines)
     body = [[label, *_cells(_medians(part)), _failed(part)] for label, part in by_label.items()]
     return {
         "table": {"head": ["method", *(c[0] for c in COLUMNS), "failed"], "rows": body},
@@ -179,19 +176,3 @@ def _axis(name: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "name": name,
         "table": {"head": ["method", "where", *(c[0] for c in COLUMNS)], "rows": body},
     }
-
-
-def _write(out: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """All lines as CSV and JSON; what is not there is empty there, null here."""
-    plain = [
-        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in line.items()}
-        for line in lines
-    ]
-    with atomic_path(out / "sensitivity.json") as path:
-        path.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
-    table = io.StringIO()
-    writer = csv.DictWriter(table, KEYS)
-    writer.writeheader()
-    writer.writerows(plain)
-    with atomic_path(out / "sensitivity.csv") as path:
-        path.write_text(table.getvalue(), encoding="utf-8")

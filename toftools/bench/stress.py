@@ -116,8 +116,6 @@ def _checked(entry: object, where: str) -> str:
 
 def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source]:
     engine, tol_mm = str(entry.get("engine", "auto")), number_of(entry, "tol_mm", 1.0, where)
-    if engine != "auto":
-        find(SIMULATORS, engine)
     if not 0 < tol_mm < math.inf:
         msg = f"tol_mm of axis {name} in {where} must be a positive number, got {tol_mm:g}"
         raise ValueError(msg)
@@ -134,7 +132,7 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
         for key in ("sensor", "claimed"):
             if told[key]:
                 sensor(told[key])  # a wrong figure is told before anything is simulated
-        _check_scene(told["scene"], sensor(told["sensor"]), engine)
+        check_scene(told["scene"], sensor(told["sensor"]), engine)
         for seed in range(seeds_of(entry, 3, where)):
             yield Source(
                 told["scene"], f"{GROUP}{name}", None, told["sensor"], engine, tol_mm,
@@ -142,10 +140,11 @@ def _sources(entry: Mapping[str, Any], name: str, where: str) -> Iterator[Source
             )  # fmt: skip
 
 
-def _check_scene(text: str, device: Sensor, engine: str) -> None:
-    """Refuse a scene or a parameter that does not exist before anything is simulated."""
+def check_scene(text: str, device: Sensor, engine: str) -> None:
+    """Refuse engines, scenes and parameters that do not exist, before any light: ValueError."""
     scene = Scene(*parse_entry(text))
     name = choose(scene, device)[0] if engine == "auto" else engine
+    find(SIMULATORS, name)
     if name == "analytic":
         analytic(scene)
     elif parse_entry(name)[0] in SIMULATORS:  # an engine of the user's knows scenes of its own

@@ -3,21 +3,17 @@
 ``DIR/stability.csv`` and ``DIR/stability.json`` hold the same figures for programs.
 """
 
-import csv
-import io
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from toftools.bench.figures import slug
+from toftools.bench.figures import slug, write_tables
 from toftools.bench.render import number
 from toftools.bench.stability import Course, Stability, courses, stability
-from toftools.io.atomic import atomic_path
 from toftools.types import F64
 from toftools.viz._axes import number as written
 from toftools.viz.stress import Strain, stress_svg
@@ -53,7 +49,7 @@ def stress(out: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]
     found = [(course, stability(course)) for course in courses(rows)]
     if not found:
         return {}
-    _write_tables(out, [told for _, told in found])
+    write_tables(out, "stability", [asdict(told) for _, told in found])
     names = list(dict.fromkeys(course.axis for course, _ in found))
     labels = list(dict.fromkeys(course.label for course, _ in found))
     cells = {(told.axis, told.label): told for _, told in found}
@@ -138,22 +134,3 @@ def _placed(table: F64, course: Course, values: Sequence[float]) -> F64:
     whole = np.full((len(values), table.shape[1]), np.nan)
     whole[[values.index(value) for value in course.values]] = table
     return whole
-
-
-def _write_tables(out: Path, told: Sequence[Stability]) -> None:
-    """All figures as CSV and JSON; what is not finite is empty there, null here."""
-    lines = [
-        {key: None if isinstance(v, float) and not math.isfinite(v) else v
-         for key, v in asdict(one).items()}
-        for one in told
-    ]  # fmt: skip
-    with atomic_path(out / "stability.json") as path:
-        path.write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
-    table = io.StringIO()
-    writer = csv.DictWriter(table, [field.name for field in fields(Stability)])
-    writer.writeheader()
-    writer.writerows(
-        [{**line, "flags": " ".join(one.flags)} for line, one in zip(lines, told, strict=True)]
-    )
-    with atomic_path(out / "stability.csv") as path:
-        path.write_text(table.getvalue(), encoding="utf-8")
